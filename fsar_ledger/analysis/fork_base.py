@@ -248,12 +248,12 @@ def _require_members(base: Base, change: Add) -> None:
     fleet = founding_of(base.recipe.spec, base.recipe.constants)[1].fleet
     known = {*fleet.robots, *(robot.supervisor for robot in fleet.robots.values() if robot.supervisor is not None)}
     for name in ("robot", "peer", "supervisor"):
-        found = getattr(fact, name, None)
-        if found is not None and found not in known:
-            of_kind = sorted(one for one in known if one.partition("/")[0] == found.partition("/")[0]) or sorted(known)
-            hint = printable.did_you_mean(found, of_kind) or ";"
+        named = getattr(fact, name, None)
+        if named is not None and named not in known:
+            of_kind = sorted(one for one in known if one.partition("/")[0] == named.partition("/")[0]) or sorted(known)
+            hint = printable.did_you_mean(named, of_kind) or ";"
             raise UsageError(
-                f"change {change}: there is no {printable.value(found)} in the fleet{hint} expected one of "
+                f"change {change}: there is no {printable.value(named)} in the fleet{hint} expected one of "
                 f"{printable.some(of_kind)}"
             )
 

@@ -279,10 +279,10 @@ class _Last:
         """
         believed, holding = self._seen.of(*told), holds[0][1]
         was_told = self._seen.of(told[0], told[1] is not None)
-        held = None if any(self._seen.of(*entry) is None for entry in holds) else holding
+        true_now = None if any(self._seen.of(*entry) is None for entry in holds) else holding
         if as_of_us is None or believed is None:
-            return Belief(about, what, believed, None, None, held, was_told)
-        return Belief(about, what, believed, as_of_us / 1e6, (self.now_us - as_of_us) / 1e6, held, was_told)
+            return Belief(about, what, believed, None, None, true_now, was_told)
+        return Belief(about, what, believed, as_of_us / 1e6, (self.now_us - as_of_us) / 1e6, true_now, was_told)
 
 
 def _of_coordinator(state: State, last: _Last) -> Iterator[Belief]:
@@ -291,15 +291,15 @@ def _of_coordinator(state: State, last: _Last) -> Iterator[Belief]:
     for robot in state.fleet.robots:
         local, fleet = in_force(world.local, robot), in_force(world.fleet, robot)
         busy = _yes(robot in state.execution.current)
-        told: tuple[tuple[str, str, tuple[tuple[str, str], ...]], ...] = (
+        rows: tuple[tuple[str, str, tuple[tuple[str, str], ...]], ...] = (
             ("own policy", _outcome(robot, copy.local_deny, copy.local_review), (("policy", local),)),
             ("fleet's rule", _outcome(robot, copy.fleet_deny, copy.fleet_review), (("policy", fleet),)),
             ("busy", _yes(robot in copy.busy), (("execution", busy), ("recovery", busy))),
             ("degraded", _yes(robot in copy.degraded), (("world", _yes(robot in world.degraded)),)),
         )
-        for what, believed, holds in told:
-            known = None if as_of_us is None else believed
-            yield last.belief(robot, what, ("knowledge", known), as_of_us, *holds)
+        for what, believed, holds in rows:
+            told = None if as_of_us is None else believed
+            yield last.belief(robot, what, ("knowledge", told), as_of_us, *holds)
 
 
 def _of_robot(state: State, robot: Robot, last: _Last) -> Iterator[Belief]:

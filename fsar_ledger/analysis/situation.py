@@ -208,8 +208,8 @@ class Situation(msgspec.Struct, frozen=True, kw_only=True):
 def situation(past: "Past", busy_us: Mapping[str, int], robot: str | None) -> Situation:
     """Return the situation then; with `robot`, only what involves it. `busy_us` is facts/busy_before."""
     state = past.state
-    known = dict.fromkeys((*state.fleet.robots, *state.execution.current))  # an acting robot need not have joined
-    robots = [name for name in known if robot in (None, name)]
+    members = dict.fromkeys((*state.fleet.robots, *state.execution.current))  # an acting robot need not have joined
+    robots = [name for name in members if robot in (None, name)]
     requests = [
         RequestNow(request.action_id, request.requester, request.capability, request.target, _phase(request))
         for request in _open_requests(past)
@@ -308,9 +308,9 @@ def _trust(state: State, robot: str | None) -> Iterator[TrustNow]:
 
 
 def _rules(state: State, robot: str | None) -> Iterator[RuleNow]:
-    for (scope, whose, capability, task), outcome in state.policy.rules.items():
-        if robot is None or whose in (None, robot):
-            yield RuleNow(scope, whose, capability, task, outcome)
+    for (scope, owner, capability, task), outcome in state.policy.rules.items():
+        if robot is None or owner in (None, robot):
+            yield RuleNow(scope, owner, capability, task, outcome)
     for (scope, role, domain, capability, task), outcome in state.policy.of_roles.items():
         if _has_role(state, robot, (role,), domain):
             yield RuleNow(scope, _role(role, domain), capability, task, outcome)
@@ -363,9 +363,9 @@ def _work(state: State, name: str, seen: Coverage) -> Work | None:
         return Work(name.removeprefix(HELPING), None, "helping", None, None)
     if not seen.tells_ends:
         return None
-    whose = action.on_behalf_of if action.on_behalf_of != action.robot else None
+    principal = action.on_behalf_of if action.on_behalf_of != action.robot else None
     ends_s = action.ends_us / 1e6 if action.ends_us else None
-    return Work(action.action_id, action.capability or None, action.stage, whose, ends_s)
+    return Work(action.action_id, action.capability or None, action.stage, principal, ends_s)
 
 
 def _windows(past: "Past", name: Robot) -> Iterator[Window]:

@@ -260,13 +260,13 @@ def _compared(judged: Iterable[_JudgedPairs], names: Mapping[str, str] = {}) -> 
         rows += tables
     if not rows:
         return parted, []
-    every = pa.concat_tables(rows)
-    side_of = dict(zip(every.column("run_id").to_pylist(), every.column("side").to_pylist(), strict=True))
+    measured = pa.concat_tables(rows)
+    side_of = dict(zip(measured.column("run_id").to_pylist(), measured.column("side").to_pylist(), strict=True))
     groups: dict[tuple[str, str], list[Divergence]] = {}
     for divergence in parted:
         groups.setdefault((side_of[divergence.base], side_of[divergence.fork]), []).append(divergence)
-    found = [(base, _effects(every, base, fork, group)) for (base, fork), group in groups.items()]
-    return parted, [msgspec.structs.replace(effect, side=names.get(base)) for base, effect in found]
+    by_base = [(base, _effects(measured, base, fork, group)) for (base, fork), group in groups.items()]
+    return parted, [msgspec.structs.replace(effect, side=names.get(base)) for base, effect in by_base]
 
 
 def _divergence(pair: Pair) -> Divergence:
@@ -283,10 +283,10 @@ def _divergence(pair: Pair) -> Divergence:
     return Divergence(base.run_id, fork.run_id, seq, parted_s, ends_s, end.words, end.question, left_out, why)
 
 
-def _effects(every: pa.Table, base: str, fork: str, group: Sequence[Divergence]) -> Effects:
+def _effects(measured: pa.Table, base: str, fork: str, group: Sequence[Divergence]) -> Effects:
     def of(side: str, runs: list[str]) -> pa.Table:
-        is_its = pc.and_(pc.equal(every.column("side"), side), pc.is_in(every.column("run_id"), pa.array(runs)))
-        return every.filter(is_its)
+        is_its = pc.and_(pc.equal(measured.column("side"), side), pc.is_in(measured.column("run_id"), pa.array(runs)))
+        return measured.filter(is_its)
 
     bases = of(base, [divergence.base for divergence in group])
     with beside(of(fork, [divergence.fork for divergence in group]), bases) as database:

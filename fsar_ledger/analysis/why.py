@@ -362,29 +362,29 @@ def _answered(answers: Iterable[tuple[Ask, int]]) -> Iterator[PortAnswer]:
 def _reads(values: ReadValues, seq: int, writers: Mapping[tuple[Path, int], LastWrite]) -> Iterator[Read]:
     """Yield what was read just before the event with this seq."""
     for path, value in values.items():
-        place, name = _words(path)
+        path_text, name = _words(path)
         write = writers[path, seq]
         plain = None if value is ABSENT else msgspec.to_builtins(value, str_keys=True, enc_hook=str)
-        yield Read(place, name, plain, value is ABSENT, write.by, write.elements)
+        yield Read(path_text, name, plain, value is ABSENT, write.by, write.elements)
 
 
 def _words(path: Path) -> tuple[str, str]:
     """Return the place that the path leads to, and what is read of it."""
-    place = path[0].name
+    text = path[0].name
     for step in path[1:-1]:
-        place += f".{step.name}" if step.kind == "field" else f"[{_key(step.name)}]"
+        text += f".{step.name}" if step.kind == "field" else f"[{_key(step.name)}]"
     if len(path) == 1:
-        return place, "whole"
+        return text, "whole"
     kind, name = path[-1]
     match kind:
         case "field":
-            return place, name
+            return text, name
         case "key":
-            return place, f"[{_key(name)}]"
+            return text, f"[{_key(name)}]"
         case "has":
-            return place, f"has {_key(name)}"
+            return text, f"has {_key(name)}"
         case _:
-            return place, kind
+            return text, kind
 
 
 def _key(key: object) -> str:

@@ -218,7 +218,7 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
 
 def _runs(count: int, forks: int) -> str:
     """Return the counts of runs and forks, in words; `count` includes the forks."""
-    parts = [counted(number, what) for number, what in ((count - forks, "run"), (forks, "fork")) if number]
+    parts = [counted(number, noun) for number, noun in ((count - forks, "run"), (forks, "fork")) if number]
     return every(parts)
 
 
@@ -281,13 +281,13 @@ def left_over(database: Database) -> list[str]:
 
 def imputed(database: Database, rows: Iterable[StatisticRow]) -> list[str]:
     """Return which of the rows count runs without a value, how many, and as what. Raises: as `Database.rows`."""
-    shown = {row.metric for row in rows}
+    metrics_shown = {row.metric for row in rows}
     return [
         f"{row['metric']}: {_without_value(row['runs'], row['failed'])}, as {number(row['published_value'])}"
         f"{' s' if row['scale'] == 'seconds' else ''} (basis published); "
         "`fsar-ledger query statistics/all_pairwise_tests` also has the tests without such pairs (basis defined)"
         for row in database.rows(IMPUTED)
-        if row["metric"] in shown
+        if row["metric"] in metrics_shown
     ]
 
 

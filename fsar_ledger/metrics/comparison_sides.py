@@ -324,18 +324,18 @@ def _of_one(held: Sequence[Side], first: Side | None, second: Side | None, place
     return (others[0], others[1]) if side is None else (side, others[0]) if first is not None else (others[0], side)
 
 
-def _like(side: Side | None, held: Sequence[Side], option: str, place: str) -> Side:
+def _like(side: Side | None, others: Sequence[Side], option: str, ledger: str) -> Side:
     """Return the side of the other ledger that is like this one, or its only side."""
-    alike = _alike(side, held) or list(held)
+    alike = _alike(side, others) or list(others)
     if len(alike) != 1:
         raise UsageError(
-            f"{option} is missing: found {len(alike):,} that may be meant in {place}: {_listed(alike)}; name one"
+            f"{option} is missing: found {len(alike):,} that may be meant in {ledger}: {_listed(alike)}; name one"
         )
     return alike[0]
 
 
-def _listed(held: Sequence[Side]) -> str:
-    return printable.some(map(str, held), "more, which `fsar-ledger info` lists") or "no runs"
+def _listed(sides: Sequence[Side]) -> str:
+    return printable.some(map(str, sides), "more, which `fsar-ledger info` lists") or "no runs"
 
 
 @contextmanager

@@ -115,16 +115,16 @@ def _whole(constants: Constants) -> dict[str, str]:
     """
     groups = msgspec.structs.replace(with_all_groups(constants), scenario=None, fleet=None)
     designs = {name: getattr(constants, name) for name in DESIGNS}
-    own = {name: _json(design.name) for name, design in designs.items() if design is not None}
+    named = {name: _json(design.name) for name, design in designs.items() if design is not None}
     unset = {
         f"{group}.{name}": DEFAULT
         for group in groups.__struct_fields__
         if group not in designs
         for name in getattr(groups, group).__struct_fields__
     }
-    found = {constant["name"]: constant["value"] for constant in constants_of(write_constants(groups)) or ()}
+    filled = {constant["name"]: constant["value"] for constant in constants_of(write_constants(groups)) or ()}
     return (
-        {name: value for name, value in unset.items() if not any(known.startswith(name) for known in found)}
-        | found
-        | own
+        {name: value for name, value in unset.items() if not any(known.startswith(name) for known in filled)}
+        | filled
+        | named
     )

@@ -51,36 +51,36 @@ def answers(
 
 # See docs/decisions/long-runs-are-judged-by-their-cuts.md.
 def _answers_by_cuts(
-    one: Slice, connect: Callable[[], Database], queries: Mapping[str, SliceQuery]
+    slice_: Slice, connect: Callable[[], Database], queries: Mapping[str, SliceQuery]
 ) -> dict[str, pa.Table]:
     """Return the answers of a slice that has one run that was cut, judged some parts at a time; else nothing.
 
     Also nothing where an event of a part is about a task that ended in an earlier one. Raises: As `Database.table`.
     """
-    if not (queries and (stretches := _stretches(one))):
+    if not (queries and (stretches := _stretches(slice_))):
         return {}
-    names = sorted(_adding() & frozenset[str]().union(*(each.reads or () for each in queries.values())))
+    names = sorted(_adding() & frozenset[str]().union(*(query.reads or () for query in queries.values())))
     carrying = slice_query(_CARRYING).text
     texts = {name: digest_of([carrying, slice_query(f"SELECT * FROM {name}").text]) for name in names}
     texts[_CARRIED] = carrying
     of_parts: dict[str, list[pa.Table]] = {name: [] for name in names}
     with connect() as database:  # one for all, since planning the queries takes as long as answering them
-        types = relation.types_of(database, slices.segments(one))
-        parts = relation.Parts(one.runs[-1].run, types, {}, 0, None)
+        types = relation.types_of(database, slices.segments(slice_))
+        parts = relation.Parts(slice_.runs[-1].run, types, {}, 0, None)
         for stretch in stretches:
-            last = parts = parts._replace(sizes={each.run: each.rows for each in stretch.slice.runs})
-            if (made := _settled_of(stretch, database, texts, parts)) is None:
+            last = parts = parts._replace(sizes={extent.run: extent.rows for extent in stretch.slice.runs})
+            if (settled_rows := _settled_of(stretch, database, texts, parts)) is None:
                 return {}
             for name in names:
-                of_parts[name].append(made[name])
+                of_parts[name].append(settled_rows[name])
             # Event 0 of each part repeats that of the first.
-            after = max(parts.before, 1) + sum(parts.sizes.values()) - len(parts.sizes)
-            parts = parts._replace(before=after, carried=made[_CARRIED])
+            events_before = max(parts.before, 1) + sum(parts.sizes.values()) - len(parts.sizes)
+            parts = parts._replace(before=events_before, carried=settled_rows[_CARRIED])
     with connect() as database:
         slices.fill(database, stretch.slice, last)
         for name, tables in of_parts.items():
             database.hold(name, summed(name, tables))
-        return {text: each.of(database) for text, each in queries.items()}
+        return {text: query.of(database) for text, query in queries.items()}
 
 
 class _Stretch(NamedTuple):
@@ -91,22 +91,22 @@ class _Stretch(NamedTuple):
     is_last: bool
 
 
-def _stretches(one: Slice) -> list[_Stretch]:
+def _stretches(slice_: Slice) -> list[_Stretch]:
     """Return the parts of a slice's only run, grouped as they are judged; nothing if one group has all.
 
     Also nothing if it has several runs, or parts in several ledgers.
     """
-    earlier = earlier_runs(one.view) if len(one.runs) > 1 else {}
-    follow = all(earlier.get(after.run) == before.run for before, after in pairwise(one.runs))
-    if not follow or len([*views_of(one.view)]) > 1:
+    earlier = earlier_runs(slice_.view) if len(slice_.runs) > 1 else {}
+    follow = all(earlier.get(following.run) == previous.run for previous, following in pairwise(slice_.runs))
+    if not follow or len([*views_of(slice_.view)]) > 1:
         return []
     stretches: list[_Stretch] = []
     until: list[Extent] = []
-    for runs in parts_of(one.runs, lambda each: each.rows, one.most):
+    for runs in parts_of(slice_.runs, lambda extent: extent.rows, slice_.most):
         until += runs
-        is_last = len(until) == len(one.runs)
-        digest = None if is_last else slice_of(one.view, until, one.beside, one.most).digest
-        stretches.append(_Stretch(slice_of(one.view, runs, one.beside, one.most), digest, is_last))
+        is_last = len(until) == len(slice_.runs)
+        digest = None if is_last else slice_of(slice_.view, until, slice_.beside, slice_.most).digest
+        stretches.append(_Stretch(slice_of(slice_.view, runs, slice_.beside, slice_.most), digest, is_last))
     return stretches if len(stretches) > 1 else []
 
 
@@ -136,16 +136,16 @@ def _settled_of(
 ) -> dict[str, pa.Table] | None:
     """Return `settled`, from the cache where it has these texts; the run may have had another name then."""
     cached = slices.remembered(stretch.digest, texts.values())
-    made = {name: slices.joined([cached[text]]) for name, text in texts.items() if text in cached}
-    if lacking := texts.keys() - made.keys():
+    rows = {name: slices.joined([cached[text]]) for name, text in texts.items() if text in cached}
+    if lacking := texts.keys() - rows.keys():
         database.empty()
         slices.fill(database, stretch.slice, parts)
-        computed = settled(database, sorted(lacking - {_CARRIED}), made.get(_CARRIED), is_last=stretch.is_last)
+        computed = settled(database, sorted(lacking - {_CARRIED}), rows.get(_CARRIED), is_last=stretch.is_last)
         if computed is None:
             return None
-        made |= computed
-        slices.remember(stretch.digest, {texts[name]: slices.written(made[name]) for name in lacking})
-    return {name: _of_run(slices.coded(table), parts.run) for name, table in made.items()}
+        rows |= computed
+        slices.remember(stretch.digest, {texts[name]: slices.written(rows[name]) for name in lacking})
+    return {name: _of_run(slices.coded(table), parts.run) for name, table in rows.items()}
 
 
 def carried_on(database: Database) -> pa.Table | None:
@@ -170,14 +170,14 @@ def settled(
     """
     if carried is None and (carried := carried_on(database)) is None:
         return None
-    here = {name: database.table(f"SELECT * FROM {name}") for name in names}
+    rows = {name: database.table(f"SELECT * FROM {name}") for name in names}
     settled_rows = {_CARRIED: carried}
     if is_last:
-        return settled_rows | here
+        return settled_rows | rows
     numbers = database.table("SELECT * FROM run_numbers")
     database.refill(carried)
     database.hold("run_numbers", numbers)
-    for name, table in here.items():
+    for name, table in rows.items():
         open_rows = database.table(f"SELECT * FROM {name}").cast(table.schema)
         if "seq" in table.column_names:  # an offence
             settled_rows[name] = table.filter(pc.invert(pc.is_in(table["seq"], open_rows["seq"])))
@@ -201,7 +201,9 @@ def _of_run(table: pa.Table, run: str) -> pa.Table:
 
 def summed(name: str, tables: Sequence[pa.Table]) -> pa.Table:
     """Return the rows of a relation over a whole run, given the settled rows of each part."""
-    return pa.concat_tables(tables) if "seq" in tables[0].column_names else _added(name, [(1, one) for one in tables])
+    return (
+        pa.concat_tables(tables) if "seq" in tables[0].column_names else _added(name, [(1, table) for table in tables])
+    )
 
 
 def _added(name: str, signed: Iterable[tuple[int, pa.Table]]) -> pa.Table:
@@ -209,14 +211,14 @@ def _added(name: str, signed: Iterable[tuple[int, pa.Table]]) -> pa.Table:
     key, sums = tuple(library().relations[name].key or ()), dict[tuple[Any, ...], dict[str, Any]]()
     for sign, table in signed:
         for row in table.to_pylist():
-            whole = sums.setdefault(tuple(row[column] for column in key), dict.fromkeys(row))
+            total = sums.setdefault(tuple(row[column] for column in key), dict.fromkeys(row))
             for column, value in row.items():
                 if not isinstance(value, int):
-                    whole[column] = value if sign > 0 else whole[column]
+                    total[column] = value if sign > 0 else total[column]
                 elif name not in _WHETHER or column != "numerator":
-                    whole[column] = (whole[column] or 0) + sign * value
+                    total[column] = (total[column] or 0) + sign * value
                 elif sign > 0:
-                    whole[column] = max(whole[column] or 0, value)
+                    total[column] = max(total[column] or 0, value)
     for row in sums.values():
         for rest in ("", "_without_routine"):
             if f"value{rest}" in row:

@@ -218,25 +218,30 @@ class Slices:
     ) -> dict[_Name, list[bytes]]:
         """Return the answers of each slice to each of these queries in the cache's form, which takes little memory."""
         stored: dict[_Name, list[bytes]] = {name: [] for name in queries}
-        cached = [slices.remembered(slice_.digest, {each.text for each in queries.values()}) for slice_ in self._slices]
-        lacking = [{each.text: each for each in queries.values() if each.text not in held} for held in cached]
+        cached = [
+            slices.remembered(slice_.digest, {query.text for query in queries.values()}) for slice_ in self._slices
+        ]
+        lacking = [
+            {query.text: query for query in queries.values() if query.text not in answers_held}
+            for answers_held in cached
+        ]
         with pool_of(1) as pool:
             answers = [
-                pool.submit(answered, str(slice_.view.path.absolute()), slice_.runs, slice_.digest, each)
-                if pool is not None and each and slice_.digest is not None
+                pool.submit(answered, str(slice_.view.path.absolute()), slice_.runs, slice_.digest, missing)
+                if pool is not None and missing and slice_.digest is not None
                 else None
-                for slice_, each in zip(self._slices, lacking, strict=True)
+                for slice_, missing in zip(self._slices, lacking, strict=True)
             ]
             of_slices = zip(self._slices, cached, lacking, answers, strict=True)
-            for done, (slice_, held, each, far) in enumerate(of_slices, start=1):
-                if each:
-                    here = partial(cuts.answers, slice_, self._head, self._rows_verified, each)
-                    tables = here() if far is None else far.result()
-                    made = {text: slices.written(table) for text, table in tables.items()}
-                    slices.remember(slice_.digest, made)
-                    held |= made
+            for done, (slice_, answers_held, missing, remote) in enumerate(of_slices, start=1):
+                if missing:
+                    answer_here = partial(cuts.answers, slice_, self._head, self._rows_verified, missing)
+                    tables = answer_here() if remote is None else remote.result()
+                    computed = {text: slices.written(table) for text, table in tables.items()}
+                    slices.remember(slice_.digest, computed)
+                    answers_held |= computed
                 for name, query in queries.items():
-                    stored[name].append(held[query.text])
+                    stored[name].append(answers_held[query.text])
                 if progress is not None:
                     progress(done * len(queries), len(self._slices) * len(queries))
         return stored

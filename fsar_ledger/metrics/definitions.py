@@ -115,8 +115,8 @@ def metrics_in(text: str, queries: Collection[str]) -> tuple[Metric, ...]:
     return tuple(sorted(listed, key=lambda metric: metric.paper is None))
 
 
-def _wrong(text: str, field: Field, found: str, expected: str) -> UsageError:
-    return UsageError(f"{at_line(FILE, text, field)}: found {printable.value(found)}, expected {expected}")
+def _wrong(text: str, field: Field, value: str, expected: str) -> UsageError:
+    return UsageError(f"{at_line(FILE, text, field)}: found {printable.value(value)}, expected {expected}")
 
 
 @cache

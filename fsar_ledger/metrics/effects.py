@@ -177,7 +177,7 @@ def dozen(found: Sensitivity) -> list[Row]:
     for name in found.dozen:
         factor, of_factor = by_name[name], [effect for effect in effects if effect.factor == name]
         index = max(range(len(of_factor)), key=lambda cell: of_factor[cell].mu_star_margins or 0.0)
-        most = of_factor[index]
+        largest = of_factor[index]
         rows.append(
             {
                 "factor": name,
@@ -186,12 +186,12 @@ def dozen(found: Sensitivity) -> list[Row]:
                 if " to " not in factor.low
                 else f"({factor.low}) to ({factor.high})",
                 "cells": sum((effect.mu_star_margins or 0.0) >= 1 for effect in of_factor),
-                "metric": most.metric,
-                "architecture": most.architecture,
-                "mu_margins": most.mu_margins,
-                "mu_star_margins": most.mu_star_margins,
-                "conf": most.mu_star_conf_margins,
-                "by_chance": most.by_chance_margins,
+                "metric": largest.metric,
+                "architecture": largest.architecture,
+                "mu_margins": largest.mu_margins,
+                "mu_star_margins": largest.mu_star_margins,
+                "conf": largest.mu_star_conf_margins,
+                "by_chance": largest.by_chance_margins,
                 "sobol_first": None if factor.sobol_first is None else factor.sobol_first[index],
                 "sobol_total": None if factor.sobol_total is None else factor.sobol_total[index],
                 "r2": found.cells[index].emulator_r2,

@@ -50,8 +50,8 @@ class AuditRow(msgspec.Struct, frozen=True):
 
 def all_shown(rows: Sequence[AuditRow]) -> bool:
     """Return whether some architecture shows each invariant to hold, and none is broken or not observable."""
-    shown = {row.invariant for row in rows if row.holds}
-    return all(row.holds or (row.is_empty and row.invariant in shown) for row in rows)
+    upheld = {row.invariant for row in rows if row.holds}
+    return all(row.holds or (row.is_empty and row.invariant in upheld) for row in rows)
 
 
 def invariants() -> list[Query]:

@@ -97,10 +97,10 @@ class Query(msgspec.Struct, frozen=True):
         """Return its SQL reading other relations under the same names: `FROM others[name] AS name`."""
 
         def renamed(match: re.Match[str]) -> str:
-            before, name, alias = match.groups()
+            keyword, name, alias = match.groups()
             if name not in others or others[name] == name:
                 return match[0]
-            return f"{before}{others[name]}{alias or f' AS {name}'}"
+            return f"{keyword}{others[name]}{alias or f' AS {name}'}"
 
         return _TEXT_OR_SOURCE.sub(renamed, self.sql)
 
@@ -135,8 +135,8 @@ def parse(name: str, sql: str) -> Query:
             expected = (
                 f"each of {', '.join(KEYS)} at most once{printable.did_you_mean(str(key), set(KEYS) - header.keys())}"
             )
-            found = f"found {printable.value(line)} in the header"
-            raise InvalidQuery(f"queries/{name}.sql:{number}: {found}, expected {expected}")
+            observed = f"found {printable.value(line)} in the header"
+            raise InvalidQuery(f"queries/{name}.sql:{number}: {observed}, expected {expected}")
         header[key] = text
         last = key
     required = (*REQUIRED_KEYS, *READING_KEYS) if name.startswith(READINGS) else REQUIRED_KEYS

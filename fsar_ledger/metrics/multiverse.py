@@ -289,8 +289,8 @@ def multiverse(
     scenarios = {
         row["scenario"] for row in database.rows("SELECT DISTINCT scenario FROM runs WHERE kind = 'simulated'")
     }
-    shown = cells(found_universes, is_of_paper=scenarios <= {*PAPER_SCENARIOS})
-    return Multiverse(used, tuple(shown), tuple(rankings(found_universes, better)), tuple(found_universes))
+    ranges = cells(found_universes, is_of_paper=scenarios <= {*PAPER_SCENARIOS})
+    return Multiverse(used, tuple(ranges), tuple(rankings(found_universes, better)), tuple(found_universes))
 
 
 def universes(

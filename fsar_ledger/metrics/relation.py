@@ -161,8 +161,8 @@ def _chains(continues: Mapping[str, str], sizes: Mapping[str, int]) -> list[dict
     chains = []
     for last in sorted(sizes.keys() - set(continues.values())):
         chain = [last]
-        while (before := continues.get(chain[0])) in sizes and before not in chain:
-            chain.insert(0, f"{before}")
+        while (earlier := continues.get(chain[0])) in sizes and earlier not in chain:
+            chain.insert(0, f"{earlier}")
         chains.append({run: sizes[run] for run in chain})
     return chains
 
@@ -210,14 +210,14 @@ def _require_alike(database: Database, continues: Mapping[str, str], names: str)
         f"SELECT run_id, CAST(({columns}) AS VARCHAR) FROM {_BY_RUN} WHERE seq = 0 AND run_id IN ({names})"
     )
     begins: dict[str, str] = dict(rows)
-    for run, before in continues.items():
-        if before not in begins:
+    for run, continued in continues.items():
+        if continued not in begins:
             continue
-        if begins[run] != begins[before]:
-            raise LedgerCorrupted(unlike_beginning(run, before))
-        if others := [name for name in continues if name != run and continues[name] == before]:
+        if begins[run] != begins[continued]:
+            raise LedgerCorrupted(unlike_beginning(run, continued))
+        if others := [name for name in continues if name != run and continues[name] == continued]:
             raise LedgerCorrupted(
-                f"run {printable.value(run)}: found that it continues run {printable.value(before)}, as run "
+                f"run {printable.value(run)}: found that it continues run {printable.value(continued)}, as run "
                 f"{printable.value(others[0])} does, expected one that does; run fsar-ledger verify"
             )
 

@@ -97,12 +97,12 @@ def fill(database: Database, one: Slice, parts: relation.Parts | None = None) ->
     names = {run.run for run in runs}
     others = [run for run in one.beside if run.run not in names and _meets(view, run, numbers)]
     mixed = {number for run in others for number in view.segments_between(run.first, run.end)}
-    whole = frozenset(path for number, path in paths.items() if number not in mixed)
+    unshared = frozenset(path for number, path in paths.items() if number not in mixed)
     # See docs/decisions/slices-make-no-tables.md.
     condition, numbered_runs = relation.OF_NUMBERED, [run.run for run in runs]
     if parts is not None:
         condition, numbered_runs = relation.of_runs(sorted(names)), [parts.run]
-    chosen = relation.RowFilter(condition, relation.numbered(numbered_runs), whole)
+    chosen = relation.RowFilter(condition, relation.numbered(numbered_runs), unshared)
     relation.hold_segments(database, [*paths.values()], [releases[number] for number in paths], chosen, (), parts)
 
 

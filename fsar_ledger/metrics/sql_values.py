@@ -206,13 +206,13 @@ def names_on_record(database: "Database", kind: str, run: str | None) -> list[st
 
 def plain_rows(table: pa.Table) -> list[dict[str, Any]]:
     """Return the rows as dictionaries; DuckDB's sums of integers, decimals in Arrow, become integers again."""
-    whole = [field.name for field in table.schema if pa.types.is_decimal(field.type) and field.type.scale == 0]
+    integral = [field.name for field in table.schema if pa.types.is_decimal(field.type) and field.type.scale == 0]
     # In parts, so that the watch over this process's memory gets its turn between them.
     rows: list[dict[str, Any]] = [
         row for part in table.to_batches(max_chunksize=BATCH_ROWS) for row in part.to_pylist()
     ]
-    for row in rows if whole else ():
-        row.update({name: None if row[name] is None else int(row[name]) for name in whole})
+    for row in rows if integral else ():
+        row.update({name: None if row[name] is None else int(row[name]) for name in integral})
     return rows
 
 

@@ -205,10 +205,10 @@ class _Process:
         except subprocess.TimeoutExpired:
             code = None
         try:
-            said = os.read(self._said, SAID_BYTES).decode(errors="replace")
+            output = os.read(self._said, SAID_BYTES).decode(errors="replace")
         except OSError:
-            said = ""
-        return QueryFailed(f"SQL: the process that ran it {cause_of_death(code, said, self.limits)}")
+            output = ""
+        return QueryFailed(f"SQL: the process that ran it {cause_of_death(code, output, self.limits)}")
 
 
 def cause_of_death(code: int | None, said: str, limits: Limits) -> str:

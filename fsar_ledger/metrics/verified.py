@@ -117,12 +117,12 @@ def _digests(database: Database, columns: Sequence[str], paths: Sequence[str]) -
     return {path: tuple(number or 0 for number in numbers) for path, *numbers in rows}  # NULL where all values are NULL
 
 
-def _other(expected: Digest, found: Sequence[int]) -> tuple[str, str] | None:
+def _other(expected: Digest, numbers: Sequence[int]) -> tuple[str, str] | None:
     """Return the first number that differs, as found and expected; None if none does."""
-    if not found:
+    if not numbers:
         return "no rows by DuckDB", _EXPECTED
     names = ("run_id", *expected.columns, *_integers(expected.columns))
-    for name, by_pyarrow, by_duckdb in zip(names, expected.numbers, found, strict=True):
+    for name, by_pyarrow, by_duckdb in zip(names, expected.numbers, numbers, strict=True):
         if by_duckdb != by_pyarrow:
             return f"{by_duckdb} as the digest of column {name} by DuckDB, {by_pyarrow} by pyarrow", _EXPECTED
     return None

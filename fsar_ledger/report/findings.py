@@ -274,12 +274,12 @@ def _scaling(database: Database, all_rows: Sequence[DialledRow]) -> Part | None:
     chosen = max(larger, key=lambda alike: (len(sizes[alike]), counts[alike]))
     means = {row.encounter_mean_s for row in rows if row.made_alike_but == chosen and row.fleet_size != FOUR_ROBOTS}
     table = [row for row in rows if row.made_alike_but == chosen and row.encounter_mean_s in means]
-    whole = _over_all(table)
+    over_all = _over_all(table)
     of_all = [row for row in table if row.fleet_size is not None and row.teams_working == row.fleet_size // FOUR_ROBOTS]
-    ones = [row for row in whole if row.teams_working == 1]
-    numbers = _judged(database, "scaling", of_all, whole, ones)
+    ones = [row for row in over_all if row.teams_working == 1]
+    numbers = _judged(database, "scaling", of_all, over_all, ones)
     settings: dict[str, Value] = {"settings": sorted({row.setting for row in table})}
-    relations = {"loads": arrow(whole, DialledRow), "costs": database.table(COSTS_SQL, settings)}
+    relations = {"loads": arrow(over_all, DialledRow), "costs": database.table(COSTS_SQL, settings)}
     return Part(ledger_head(database, table[0].model_version), tuple(numbers), relations)
 
 

@@ -147,12 +147,12 @@ def gather(
             if row.architecture in PAPER_ARCHITECTURES
         ]
         main = _main(rows)
-        found = _results(database, rows, main, ledger, demanded)
-        parts = {"results": found[0]} | experiments_of(database) | parts
+        results = _results(database, rows, main, ledger, demanded)
+        parts = {"results": results[0]} | experiments_of(database) | parts
         parts = {name: parts[name] for name in QUERIES if name in parts}
         sets, parameters, digest = _models(database, main)
         multiverse = None
-        if reads_every_way and main is not None and not found[1]:
+        if reads_every_way and main is not None and not results[1]:
             with showing("read", "combinations of readings") as progress:
                 multiverse = multiverse_of(database, main, progress=progress)
         relations = {name: table for part in parts.values() for name, table in part.relations.items()}
@@ -172,8 +172,8 @@ def gather(
             parameters_sha256=digest,
             model_version=main[CONDITIONS.index("model_version")] if main else None,
             model_versions=tuple(sorted({model["model_version"] for model in sets} - {None})),
-            table_share=found[2],
-            unjudged=found[1],
+            table_share=results[2],
+            unjudged=results[1],
             shown=_shown(main, rows),
             differing=tuple(map(str, differing_worlds(database))),
             multiverse=multiverse,
@@ -198,7 +198,7 @@ def _results(
 ) -> tuple[Part, str | None, float | None]:
     """Return the results, why some are not judged, and the share of drawn tables as far out as the printed one."""
     main_rows = [row for row in rows if setting_of(row) == main]
-    counts = {} if main is None else {of: _held(database, main, of) for of in HELD_SQL}
+    counts = {} if main is None else {kind: _held(database, main, kind) for kind in HELD_SQL}
     pair = counts.get("architecture", {}), counts.get("comparison", {})
     not_judged = judge.unjudged(*pair)
     drawn = judge.drawn_odds(database, "results", main_rows)
@@ -273,17 +273,17 @@ def _models(database: Database, main: Main | None) -> tuple[list[dict[str, Any]]
 
     Without main runs, the constants are those of the first run that records some.
     """
-    found = models(database)
+    listed = models(database)
     ours = [
         model
-        for model in found
+        for model in listed
         if main is not None and (model.source, model.model_version, model.constants) == main[4:]
     ]
     rows = [
         {name: getattr(model, name) for name in ("model_version", "kind", "runs", "constants", "sha256")}
-        for model in found
+        for model in listed
     ]
-    recorded = next((model for model in ours or found if model.parameters), None)
+    recorded = next((model for model in ours or listed if model.parameters), None)
     return rows, dict(flat("", recorded.parameters if recorded else {})), recorded.sha256 if recorded else None
 
 
@@ -293,12 +293,14 @@ def multiverse_of(database: Database, main: Main, *, progress: Progress | None =
     None if there are none. Raises: as `Database.rows`.
     """
     better = {spec.name: spec.better for spec in published_metrics()}
-    found = [
+    chosen = [
         universe
         for universe in universes(database, list(better), pools_seeds=True, progress=progress)
         if universe.architecture in PAPER_ARCHITECTURES and setting_of(universe) == main
     ]
-    return Multiverse(readings(), tuple(cells(found)), tuple(rankings(found, better)), tuple(found)) if found else None
+    return (
+        Multiverse(readings(), tuple(cells(chosen)), tuple(rankings(chosen, better)), tuple(chosen)) if chosen else None
+    )
 
 
 def relations_of(found: Multiverse | None) -> Relations:

@@ -159,24 +159,24 @@ def _height(row: Row, lines: Sequence[str]) -> float:
 
 def _step(axes: Any, row: Row, lines: Sequence[str], centre_of: Mapping[str, float], top: float, room: float) -> None:
     """Draw one message, evaluation or deed."""
-    here = centre_of[row["sender"] or NOBODY]
+    x = centre_of[row["sender"] or NOBODY]
     words = "\n".join(lines)
     style = "--" if not row["is_tied"] else "-"
     paper = {"boxstyle": "square,pad=0.08", "facecolor": "white", "edgecolor": "none"}
     if row["kind"] == "evaluation":
         box = max(map(len, lines)) * LETTER + 0.2
-        _box(axes, here, top + room / 2, box, room - 0.08, "#efefef", words)
+        _box(axes, x, top + room / 2, box, room - 0.08, "#efefef", words)
     elif row["kind"] == "message":
-        there = centre_of[row["receiver"] or NOBODY]
+        receiver_x = centre_of[row["receiver"] or NOBODY]
         below = top + room - 0.06
         look = {"color": "#1f4e79", "linewidth": 1.0, "linestyle": style, "mutation_scale": 8}
-        axes.annotate("", (there, below), (here, below), arrowprops=ARROW | look, zorder=3)
+        axes.annotate("", (receiver_x, below), (x, below), arrowprops=ARROW | look, zorder=3)
         above = {"ha": "center", "va": "bottom", "bbox": paper, "zorder": 2, "linespacing": 1.05}
-        axes.text((here + there) / 2, below - 0.035, words, **above, **TEXT)
+        axes.text((x + receiver_x) / 2, below - 0.035, words, **above, **TEXT)
     else:
-        axes.plot([here], [top + room / 2], marker="o", markersize=3, color="#444444", zorder=3)
+        axes.plot([x], [top + room / 2], marker="o", markersize=3, color="#444444", zorder=3)
         beside = {"ha": "left", "va": "center", "bbox": paper, "zorder": 2, "color": "#333333", "style": "italic"}
-        axes.text(here + 0.08, top + room / 2, words, **beside, **TEXT)
+        axes.text(x + 0.08, top + room / 2, words, **beside, **TEXT)
 
 
 def _box(
@@ -222,12 +222,12 @@ def ladder(rows: Sequence[Row], kind: str = "svg") -> bytes:
 def drawn_ladder(rows: Sequence[Row]) -> Iterator[Any]:
     """Yield the figure of `ladder` with its settings active, to be rendered or measured."""
     rows, more = drawable(rows)
-    shown = rungs(rows)
+    steps = rungs(rows)
     box, tall, left, middle = 2.9, 0.3, 1.35, 1.35 + 1.45 + 1.45
-    width, height = middle + box / 2 + 2.1, 0.15 + (tall + 0.14) * len(shown) + (LINE if more else 0)
+    width, height = middle + box / 2 + 2.1, 0.15 + (tall + 0.14) * len(steps) + (LINE if more else 0)
     with figures.plain_canvas(width, height) as (figure, axes):
-        heights = [0.12 + tall / 2 + (tall + 0.14) * position for position in range(len(shown))]
-        for row, y, below in zip(shown, heights, [*heights[1:], None], strict=True):
+        heights = [0.12 + tall / 2 + (tall + 0.14) * position for position in range(len(steps))]
+        for row, y, below in zip(steps, heights, [*heights[1:], None], strict=True):
             is_way = row["to_level"] is not None
             fill = "white" if is_way else LEVEL_FILLS.get(row["level"], "white")
             _box(axes, middle, y, box, tall, fill, _rung(row, rows), style="--" if is_way else "-")
@@ -240,15 +240,15 @@ def drawn_ladder(rows: Sequence[Row]) -> Iterator[Any]:
             if below is not None:
                 arrow = ARROW | {"color": "#888888", "linewidth": 0.9, "mutation_scale": 7}
                 axes.annotate("", (middle, below - tall / 2), (middle, y + tall / 2), arrowprops=arrow, zorder=3)
-        _levels(axes, shown, heights, left, tall)
+        _levels(axes, steps, heights, left, tall)
         if more:
             axes.text(0.08, height - 0.1, more, ha="left", va="center", color=QUIET, **TEXT)
         yield figure
 
 
-def _levels(axes: Any, shown: Sequence[Row], heights: Sequence[float], left: float, tall: float) -> None:
+def _levels(axes: Any, steps: Sequence[Row], heights: Sequence[float], left: float, tall: float) -> None:
     """Draw the name of each level beside its steps, and how long recovery stayed there."""
-    placed = list(zip(shown, heights, strict=True))
+    placed = list(zip(steps, heights, strict=True))
     for (failure, number, level), group in groupby(
         placed, key=lambda placed_row: (placed_row[0]["failure"], placed_row[0]["level_number"], placed_row[0]["level"])
     ):
@@ -287,16 +287,16 @@ def arcs(rows: Sequence[Row], links: Sequence[tuple[int, int, bool]], asked: int
     Each row holds seq, time_s, words, and read: what the decision in question read of the event. Each link has a cause,
     its effect, and whether that was triggered (blue) or read what the cause wrote (brown).
     """
-    shown = rows[-MAX_EVENTS:]
-    texts = [(_wrapped(row["words"], ARC_LETTERS[0]), _wrapped(row["read"], ARC_LETTERS[1])) for row in shown]
+    drawn = rows[-MAX_EVENTS:]
+    texts = [(_wrapped(row["words"], ARC_LETTERS[0]), _wrapped(row["read"], ARC_LETTERS[1])) for row in drawn]
     heights = [ROW + LINE * (max(len(words), len(read), 1) - 1) for words, read in texts]
     *starts, end = accumulate(heights, initial=0.15 + ROW)
-    tops = {row["seq"]: top for row, top in zip(shown, starts, strict=True)}
+    tops = {row["seq"]: top for row, top in zip(drawn, starts, strict=True)}
     with figures.plain_canvas(ARCS + ARC_TIME + ARC_SEQ + ARC_WORDS + ARC_READ, end + 0.1) as (figure, axes):
-        left_out = f"; {len(rows) - len(shown):,} earlier events are not drawn" if len(shown) < len(rows) else ""
+        left_out = f"; {len(rows) - len(drawn):,} earlier events are not drawn" if len(drawn) < len(rows) else ""
         legend = f"blue: triggered; brown: wrote what was read{left_out}"
         axes.text(ARCS, 0.08, legend, color=QUIET, va="top", linespacing=1.1, **TEXT)
-        for row, (words, read) in zip(shown, texts, strict=True):
+        for row, (words, read) in zip(drawn, texts, strict=True):
             _event(axes, row, tops[row["seq"]], words, read, is_asked=row["seq"] == asked)
         for cause, effect, is_trigger in links:
             if cause in tops:

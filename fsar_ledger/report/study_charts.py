@@ -184,15 +184,15 @@ def heat_map(found: Sensitivity) -> bytes:
 
     A dot marks an effect within chance, a cross an undefined cell.
     """
-    shown = [name for name, furthest in reach(found).items() if furthest >= SHOWN_FROM][:MAX_SHOWN] or [
+    factors = [name for name, furthest in reach(found).items() if furthest >= SHOWN_FROM][:MAX_SHOWN] or [
         found.factors[0].name
     ]
     columns = [(spec.name, architecture) for spec in published_metrics() for architecture in PAPER_ARCHITECTURES]
     by_cell = {(effect.factor, effect.metric, effect.architecture): effect for effect in found.effects}
-    with figures.canvas(7.4, 1.7 + 0.135 * len(shown), 1, 1) as (figure, axes):
+    with figures.canvas(7.4, 1.7 + 0.135 * len(factors), 1, 1) as (figure, axes):
         panel = axes[0, 0]
-        _cells(figure, panel, [[by_cell.get((name, *column)) for column in columns] for name in shown])
-        panel.set_yticks(range(len(shown)), [figures.label(name, 60) for name in shown], fontsize=6)
+        _cells(figure, panel, [[by_cell.get((name, *column)) for column in columns] for name in factors])
+        panel.set_yticks(range(len(factors)), [figures.label(name, 60) for name in factors], fontsize=6)
         panel.set_xticks(
             range(len(columns)), [architecture.upper() for _, architecture in columns], rotation=90, fontsize=6
         )

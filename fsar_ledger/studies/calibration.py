@@ -118,15 +118,15 @@ def search(judge: Judge, start: Vector, runs: int, most_steps: int) -> Search:
 
     def residuals(point: Vector) -> Vector:
         """Return the residuals of the loss: distances in margins, and the point in half ranges."""
-        (found,) = judge.each([point], runs)
-        tried.append(objective(found, point))
-        return np.concatenate([found, point])
+        (differences,) = judge.each([point], runs)
+        tried.append(objective(differences, point))
+        return np.concatenate([differences, point])
 
     def jacobian(point: Vector) -> Matrix:
         steepness.append(slopes(lambda points: judge.each(points, runs), point))
         return np.vstack([steepness[-1], np.eye(len(point))])
 
-    found = least_squares(
+    fitted = least_squares(
         residuals,
         start,
         jac=jacobian,
@@ -138,7 +138,7 @@ def search(judge: Judge, start: Vector, runs: int, most_steps: int) -> Search:
         max_nfev=most_steps,
     )
     # The last Jacobian is that of the final point; scipy weights its own copy by the loss.
-    return Search(start, np.asarray(found.x), runs, tried[0], 2.0 * float(found.cost), steepness[-1])
+    return Search(start, np.asarray(fitted.x), runs, tried[0], 2.0 * float(fitted.cost), steepness[-1])
 
 
 # See docs/decisions/fit-is-registered-first.md.
@@ -204,7 +204,7 @@ def _result(begun: float, start: Vector, searches: Sequence[Search], means: Answ
         rules=rules(METRICS),
         command=Calibration.MADE_BY,
         parameters=[
-            _parameter(one, at(start), constants, directions, singular, index) for index, one in enumerate(FREE)
+            _parameter(free, at(start), constants, directions, singular, index) for index, free in enumerate(FREE)
         ],
         residuals=[
             Residual(
@@ -227,12 +227,12 @@ def _result(begun: float, start: Vector, searches: Sequence[Search], means: Answ
         ],
         searches=[
             study_results.Search(
-                runs_per_scenario=one.runs,
-                start=round(one.begun, 3),
-                reached=round(one.reached, 3),
-                ended_at={free.name: value_of(at(one.point), free) for free in FREE},
+                runs_per_scenario=search.runs,
+                start=round(search.begun, 3),
+                reached=round(search.reached, 3),
+                ended_at={free.name: value_of(at(search.point), free) for free in FREE},
             )
-            for one in searches
+            for search in searches
         ],
     )
 

@@ -148,8 +148,8 @@ def _seeds(numbers: Numbers) -> Iterator[Check]:
     cells = list(printed("results").items())
 
     def answers(of: str, seed: int | None) -> list[Answer]:
-        found = (numbers.find(of, place.metric, place.architecture, seed=seed) for place, _ in cells)
-        return [verdicts.judge(number, paper.value).gives for number, (_, paper) in zip(found, cells, strict=True)]
+        predicted = (numbers.find(of, place.metric, place.architecture, seed=seed) for place, _ in cells)
+        return [verdicts.judge(number, paper.value).gives for number, (_, paper) in zip(predicted, cells, strict=True)]
 
     first = answers(CASES, None)
     for seed in SEEDS:
@@ -180,8 +180,8 @@ def _twenty_eight(numbers: Numbers) -> Iterator[Check]:
             )
             falls[architecture] = None if before is None or after is None else before - after
         for architecture in ("cfc", "dhma"):
-            what = f"fall of {SUCCESS} from 16 to 28 robots, fsar and {architecture}, {_said(teams)}"
-            yield _less(what, falls["fsar"], falls[architecture])
+            text = f"fall of {SUCCESS} from 16 to 28 robots, fsar and {architecture}, {_said(teams)}"
+            yield _less(text, falls["fsar"], falls[architecture])
 
 
 def _loads(numbers: Numbers) -> Iterator[Check]:
@@ -247,11 +247,11 @@ CHECKS: dict[str, Callable[[Numbers], Iterator[Check]]] = {
 """The checks that each registered prediction implies, by its name."""
 
 
-def _between(what: str, value: float | None, ends: tuple[float | None, ...], margin: float) -> Check:
+def _between(text: str, value: float | None, ends: tuple[float | None, ...], margin: float) -> Check:
     known = [end for end in ends if end is not None]
     is_known = len(known) == len(ends)
     return _check(
-        what,
+        text,
         value,
         min(known) - margin if is_known else None,
         max(known) + margin if is_known else None,
@@ -260,15 +260,15 @@ def _between(what: str, value: float | None, ends: tuple[float | None, ...], mar
 
 
 def _check(
-    what: str, value: float | None, low: float | None = None, high: float | None = None, *, is_known: bool = True
+    text: str, value: float | None, low: float | None = None, high: float | None = None, *, is_known: bool = True
 ) -> Check:
     holds = None if value is None or not is_known else (low is None or low <= value) and (high is None or value <= high)
-    return Check(what, value, low, high, holds)
+    return Check(text, value, low, high, holds)
 
 
-def _less(what: str, value: float | None, other: float | None) -> Check:
+def _less(text: str, value: float | None, other: float | None) -> Check:
     """Return the check that the value is less than the other."""
-    return Check(what, value, None, other, None if value is None or other is None else value < other)
+    return Check(text, value, None, other, None if value is None or other is None else value < other)
 
 
 def _ablated() -> list[str]:

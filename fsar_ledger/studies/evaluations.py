@@ -172,8 +172,8 @@ class Evaluations:
         header = _Header(fsar_ledger.__version__, MODEL_VERSION, _program())
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            whole = path.read_bytes() if path.exists() else b""
-            lines = whole[: whole.rfind(b"\n") + 1].splitlines()
+            content = path.read_bytes() if path.exists() else b""
+            lines = content[: content.rfind(b"\n") + 1].splitlines()
             self._read(lines, header)
             self._file = path.open("ab")
             self._file.truncate(sum(len(line) + 1 for line in lines))

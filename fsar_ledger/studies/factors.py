@@ -83,9 +83,9 @@ class Factor(msgspec.Struct, frozen=True):
             return settings[min(int(position * len(settings)), len(settings) - 1)]
         factor = 2.0 ** (2 * position - 1)
         if self.kind == "share":
-            whole = PPM if isinstance(self.value, int) else 1
-            odds = factor * self.value / (whole - self.value)
-            return _like(self.value, whole * odds / (1 + odds))
+            scale = PPM if isinstance(self.value, int) else 1
+            odds = factor * self.value / (scale - self.value)
+            return _like(self.value, scale * odds / (1 + odds))
         if isinstance(self.value, Range):
             return Range(*(_like(end, end * factor) for end in msgspec.structs.astuple(self.value)))
         return _like(self.value, self.value * factor)

@@ -206,10 +206,10 @@ def sensitivity(
 
     if svg is not None:
         require_outside(Path(svg), f"--svg {svg}")
-    found = study(out, trajectories=trajectories, runs=runs, points=points, workers=workers, progress=progress)
+    result = study(out, trajectories=trajectories, runs=runs, points=points, workers=workers, progress=progress)
     if svg is not None:
-        publish(Path(svg), heat_map(found))
-    return ResultTables(found, *(f"{file}" for file in (out, svg) if file is not None))
+        publish(Path(svg), heat_map(result))
+    return ResultTables(result, *(f"{file}" for file in (out, svg) if file is not None))
 
 
 @verb("study run placebo --out out/placebo.json", name="study run placebo", takes=("wide",), after_interruption=GOES_ON)
