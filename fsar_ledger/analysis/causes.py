@@ -153,8 +153,8 @@ class Cause(msgspec.Struct, frozen=True):
     """A smallest set that suffices for an outcome, of `candidates` facts and answers; `forks` were played to find it.
 
     Members by what happens if they alone are removed: `elements`: the outcome falls; `presupposed`: there is nothing to
-    judge; `unknown`: how the live run would continue is unknown. `also_necessary` are candidates outside the set of
-    which the same holds as of `elements`, because the outcome would be prevented or come about differently; a set can
+    judge; `unknown`: how the live run would continue is unknown. `also_necessary` are candidates outside the set
+    whose removal alone makes the outcome fall, because it would be prevented or come about differently; a set can
     suffice without them.
     """
 

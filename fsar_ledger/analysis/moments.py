@@ -234,7 +234,7 @@ def beliefs(past: Past, decider: str, now_us: int) -> list[Belief]:
     `now_us` may be later than the last event of the past: beliefs age without events.
 
     Raises:
-        UsageError: There is no such principal, or it decides on the present state and keeps no copies.
+        UsageError: There is no such principal, or it decides on the current state and keeps no copies.
     """
     state, names = past.state, deciders(past.state)
     if decider not in names:

@@ -202,8 +202,8 @@ class DecisionTrace(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         seq: The first of the batch.
         count: How many events the batch has.
-        origin: `founding`: the run begins with it; `world`: a fact of the world; `command`: somebody outside asked for
-            it, or gave it; `decision`: an event triggered it.
+        origin: `founding`: the run begins with it; `world`: a fact of the world; `command`: requested or given from
+            outside; `decision`: triggered by an event.
         handler: The function that decided; None for the founding, the world and the giving of a command.
         command: The command that it decided on; None as for `handler`.
         triggered_by: The seq of the event that triggered it; None if none did.

@@ -33,7 +33,7 @@ DUCKDB_SHARE = 0.75
 """The share of this process's memory that DuckDB may take."""
 
 HELD_MIB = (256, 320, 640, 1_280)
-"""DuckDB's memory limits over a sliced ledger: each applies until it can no longer spill enough, then none."""
+"""DuckDB's memory limits over a sliced ledger, each raised to the next if it cannot spill enough, at last to all."""
 
 OUT_OF_MEMORY = (duckdb.OutOfMemoryException, pa.ArrowMemoryError)
 FAULTS_OF_SQL = (

@@ -207,7 +207,7 @@ class Slices:
                 yield database
 
     def tables(self, queries: Mapping[_Name, SliceQuery], progress: Progress | None = None) -> Iterator[pa.Table]:
-        """Yield the answer of all slices together to each of these queries, in order, from the cache where it has it.
+        """Yield the answer of all slices together to each of these queries, in order, from the cache where possible.
 
         Raises: As `Database.table`.
         """

@@ -90,7 +90,7 @@ def metrics_in(text: str, queries: Collection[str]) -> tuple[Metric, ...]:
     """Return the metrics of this registry, each measured by one of these queries; those of the paper first.
 
     Raises:
-        UsageError: a field is missing, unknown or of another type, a name stands twice or is that of no query, or a
+        UsageError: a field is missing, unknown or of another type, a name occurs twice or matches no query, or a
             concern is unknown; with line and field.
     """
     listed = decoded(text, Registry, FILE).metric

@@ -342,7 +342,7 @@ def _measured(metric: str, part: Sequence[ReadingNames], database: Database) -> 
 def cells(found: Iterable[Universe], *, is_of_paper: bool = True) -> Iterator[Cell]:
     """Return the range of each cell, in the order of the universes of our reading.
 
-    The paper's numbers stand beside cells of its configurations, unless the runs are of other scenarios, too.
+    Cells of the paper's configurations have its numbers, unless there are runs of other scenarios, too.
     """
     by_cell: dict[tuple[object, ...], list[Universe]] = {}
     for universe in found:

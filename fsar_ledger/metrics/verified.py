@@ -234,7 +234,7 @@ def is_verified(view: View, demanded: str | None = None) -> bool:
 
 
 def is_verified_for_runs(view: View, demanded: str | None) -> bool:
-    """Return `is_verified`, to be called before the runs of a ledger and their positions are used.
+    """Return as `is_verified`; call it before using which runs a ledger has and where they are.
 
     If the rows are not known to be those under the root, the index of runs in the chain is at least compared with them.
     As far as it is right, that is cached, too, by the line of the last placement, which covers those before.

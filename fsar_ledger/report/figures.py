@@ -1,7 +1,7 @@
 """Draw figures as SVG, PNG or PDF, and the charts of the report from rows: bars, distances and curves.
 
 The same rows give the same bytes: no date, fixed ids, glyphs as paths. The rows determine what is drawn, and in which
-unit. Every row names its panel; panels stand in the order in which rows name them. Series differ in colour, and also in
+unit. Every row names its panel; panels are in the order in which rows name them. Series differ in colour, and also in
 marker and line style for grey prints.
 """
 

@@ -45,7 +45,7 @@ def ranking(
 ) -> Ranking:
     """Rank the architectures at the registered points, write the result and return it.
 
-    An interrupted study continues from what is kept beside it.
+    An interrupted study continues from the answers kept beside it.
 
     Raises: As `evaluating`; WriteFailed, WorkerDied.
     """
@@ -163,7 +163,7 @@ def ensemble(
 ) -> Ensemble:
     """Evaluate the registered number of points around the accepted one, write the result and return it.
 
-    An interrupted study continues from what is kept beside it.
+    An interrupted study continues from the answers kept beside it.
 
     Args:
         out: The result.
@@ -178,8 +178,8 @@ def ensemble(
         WriteFailed, WorkerDied: As `evaluating`.
     """
     out, sample = Path(out), registration().ensemble
-    record = packaged(Calibration) if calibration is None else read(Path(calibration), Calibration)
-    fit = _require_slopes(record, str(calibration or f"reports/{Calibration.FILE}"))
+    fitted_record = packaged(Calibration) if calibration is None else read(Path(calibration), Calibration)
+    fit = _require_slopes(fitted_record, str(calibration or f"reports/{Calibration.FILE}"))
     points, clipped = points_around(fit, sample)
     with evaluating(out, workers_of(workers), progress, ask) as evaluations:
         evaluations.expected = sample.size
