@@ -4,6 +4,7 @@ import re
 from functools import cache
 
 from fsar_ledger.metrics.robustness import SystemNumber
+from fsar_ledger.report import specs
 from fsar_ledger.report.build import Document
 from fsar_ledger.report.records import robustness_relations
 from tests.report.made import column, made, said, system_number, systems
@@ -35,6 +36,12 @@ def test_a_number_that_is_the_same_in_every_run_is_marked_and_has_its_reason() -
     assert human == ["0.0†"] * 3
     assert not any(cell.endswith("†") for cell in column(document, "systems", "fsar"))
     assert "They are: Human (%) of JADE (there is no supervisor to call)." in said(document).replace("\\", "")
+
+
+def test_no_reason_says_that_fsar_names_a_supervisor_who_is_off_shift() -> None:
+    reasons = {row["metric"]: row["why"] for row in specs.rows("structural") if "fsar" in row["architectures"]}
+    assert set(reasons) == {"audit_attributability", "true_attribution"}
+    assert all("shift" in why for why in reasons.values()), "no record names the supervisor then (R8)"
 
 
 def test_a_rank_holds_only_where_it_holds_at_every_size_and_for_every_value_of_a_dial() -> None:
