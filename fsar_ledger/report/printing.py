@@ -146,13 +146,13 @@ def _tone(column: specs.Column, value: Any) -> str:
 
 
 def cell(column: specs.Column, row: Row) -> Cell:
-    """Return the cell of a row under a column; a missing value is printed as a dash.
+    """Return the cell of a row under a column; a missing value is a dash, which as a grade would mean absent.
 
     Raises: KeyError if the row lacks the column's key or the spec names an unknown format.
     """
     value = row[column.key]
     if value is None:
-        return Cell(value=None, printed=NOTHING, tone="quiet")
+        return Cell(value=None, printed="n/a" if column.format == "grade" else NOTHING, tone="quiet")
     return Cell(value=value, printed=FORMATS[column.format](value, column, row), tone=_tone(column, value))
 
 

@@ -258,6 +258,8 @@ def test_a_feature_agrees_or_differs_where_the_ledger_shows_it(
     document = Document(made(features=rows))
     assert column(document, "architectural-comparison", "verdict")[0] == verdict
     assert "".join(column(document, "architectural-comparison", "fsar_paper", "printed")) == "●——●●●●●"
+    shown = column(document, "architectural-comparison", "dhma_ours", "printed")[0]
+    assert (shown == "n/a") == (ours[2] is None), "a dash would say that it is absent"
     heads = part(document, "architectural-comparison")["heads"]
     assert {"RoboOS", "JADE", "ALLIANCE"} <= set(heads)
     assert heads.count("ours") == 3, "nobody has run the others"
