@@ -208,6 +208,7 @@ MODEL = {label for label in LABELS if label.startswith(("eq:", "sec:model:", "se
     "Recovery Orchestrator",
     "Audit and Traceability Service",
     "Human Oversight Console",
+    "isolated mode",
 }
 
 
