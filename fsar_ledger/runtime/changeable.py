@@ -21,10 +21,12 @@ run the facts are its commands: `command:ReportStart/0` is the first `ReportStar
 """
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from functools import lru_cache
 from typing import Any, NamedTuple
+
+import msgspec
 
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events import Event
@@ -115,6 +117,98 @@ def facts_by_name(facts: tuple[Fact, ...]) -> FactPositions:
             name = f"{stem}{max(0, counts[stem] - 1)}"
         found[name] = (*found.get(name, ()), at)
     return found
+
+
+def united(facts: tuple[Fact, ...], placed: Sequence[Event]) -> tuple[Fact, ...]:
+    """Return the facts, in which nobody of whom a change places a spell is away twice at a time.
+
+    Spells that overlap are one, from the first beginning to the last end. `placed` are the facts that changes place.
+    """
+    left, depths = list[Fact](), dict.fromkeys(filter(None, map(_spell, placed)), 0)
+    for time_us, fact in facts:
+        spell = _spell(fact)
+        if spell in depths:
+            is_end = type(fact) in _ENDS
+            depth = depths[spell]
+            depths[spell] = max(0, depth - 1) if is_end else depth + 1
+            if depth > is_end:
+                continue
+        left.append((time_us, fact))
+    return tuple(left)
+
+
+def _spell(fact: Event) -> str | None:
+    """Return whose spells the fact begins or ends: what their names begin with."""
+    if type(fact) in _ENDS:
+        return _ENDS[type(fact)](fact)
+    return _COUNTED[type(fact)](fact) if isinstance(fact, RobotWentOff | LinkWentDown | SupervisorLeft) else None
+
+
+def continued(
+    before: tuple[Fact, ...], after: tuple[Fact, ...], from_us: int, *, numbers_again: bool = False
+) -> tuple[Fact, ...]:
+    """Return the happenings of one world that begin before this time, and then those of the other, each whole.
+
+    What happens again and again does so from then on as often as in the other world, and is numbered on; what happens
+    once does not happen twice, and who is away does not leave. With `numbers_again`, all that the other world has under
+    a number of before is left out, as in releases to 0.16.
+    """
+    firsts, seconds = facts_by_name(before), facts_by_name(after)
+    kept = {name: places for name, places in firsts.items() if before[places[0]][0] < from_us}
+    facts = [before[at] for places in kept.values() for at in places]
+    until_us = {_spell(fact): time_us for time_us, fact in sorted(facts, key=lambda one: one[0]) if _spell(fact)}
+    later = list[str]()
+    for name, (first, *_) in seconds.items():
+        begins_us, fact = after[first]
+        is_again = name in kept and (numbers_again or _happens_once(fact))
+        is_away = not numbers_again and begins_us <= until_us.get(_spell(fact), 0)
+        if begins_us >= from_us and not is_again and not is_away:
+            later.append(name)
+    numbers = {} if numbers_again else _numbered_on(kept, later)
+    facts += [(after[at][0], _numbered(after[at][1], numbers)) for name in later for at in seconds[name]]
+    apart: list[Fact] = []
+    last_us = 0
+    for time_us, fact in sorted(facts, key=lambda one: one[0]):
+        last_us = max(time_us, last_us + 1)
+        apart.append((last_us, fact))
+    return tuple(apart)
+
+
+def _happens_once(fact: Event) -> bool:
+    once = TaskArrived | OutsiderRequestInjected | SyncPhaseSet | SnapshotPhaseSet | SupervisorLeft | CommandGiven
+    return isinstance(fact, once) or (isinstance(fact, ActuatorDegraded) and fact.grade != "lost")
+
+
+def _numbered_on(kept: Iterable[str], later: Sequence[str]) -> dict[str, str]:
+    """Return the names under which facts with a name of their own go on, by those that are used before."""
+    used, first = dict[str, int](), dict[str, int]()
+    for name in kept:
+        stem, _, number = name.rpartition("/")
+        if number.isdecimal():
+            used[stem] = max(used.get(stem, 0), int(number))
+    for name in later:
+        stem, _, number = name.rpartition("/")
+        if stem in used:
+            first.setdefault(stem, int(number))
+    shifts = {stem: used[stem] + 1 - number for stem, number in first.items() if used[stem] >= number}
+    parts = [name.rpartition("/") for name in later]
+    return {f"{stem}/{number}": f"{stem}/{int(number) + shifts[stem]}" for stem, _, number in parts if stem in shifts}
+
+
+def _numbered(fact: Event, numbers: Mapping[str, str]) -> Event:
+    replace = msgspec.structs.replace
+    match fact:
+        case PolicyWindowOpened() | PolicyWindowClosed():
+            name = numbers.get(f"window:{fact.window}")
+            return fact if name is None else replace(fact, window=name.partition(":")[2])
+        case ContextChanged() if fact.window is not None:
+            name = numbers.get(f"window:{fact.window}")
+            return fact if name is None else replace(fact, window=name.partition(":")[2])
+        case ObstructionAppeared() | ObstructionCleared():
+            name = numbers.get(fact.obstruction.replace("/", ":", 1))
+            return fact if name is None else replace(fact, obstruction=name.replace(":", "/", 1))
+        case _:
+            return fact
 
 
 def matching_names(pattern: str, names: Sequence[str] | FactPositions) -> list[str]:

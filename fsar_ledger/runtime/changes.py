@@ -170,6 +170,17 @@ Commanded = Rule | Trust | Budget | Density
 """Changes that a supervisor commands."""
 Changes = tuple[AnyChange, ...]
 
+Rules = Literal["now", "to 0.16", "to 0.15"]
+"""By release, what changes mean.
+
+To 0.16, a constant that holds from a time on takes away what the other world has under a number that is already used,
+and who is away twice at a time is back when the first spell has ended. To 0.15, each change names what those before it
+left, too.
+"""
+NOW: Rules = "now"
+TO_0_16: Rules = "to 0.16"
+TO_0_15: Rules = "to 0.15"
+
 NEVER = "never"
 """The answer that does not come before the run ends."""
 MODEL = "model:"

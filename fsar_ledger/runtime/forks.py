@@ -25,10 +25,14 @@ from .changeable import (
     FactPositions,
     Question,
     QuestionRecorder,
+    continued,
     facts_by_name,
     matching_names,
+    united,
 )
 from .changes import (
+    NOW,
+    TO_0_15,
     Add,
     Answer,
     Budget,
@@ -60,12 +64,18 @@ _Placed = tuple[int, Event, int | None]
 
 
 def edited_facts(
-    facts: Sequence[Fact], changes: Sequence[OfFacts], last_us: int = END_US, *, counts_anew: bool = False
+    facts: Sequence[Fact],
+    changes: Sequence[OfFacts],
+    last_us: int = END_US,
+    *,
+    counts_anew: bool = False,
+    unites: bool = True,
 ) -> tuple[Fact, ...]:
     """Return the facts with these changes, in order of time, no two at the same microsecond and none after `last_us`.
 
     Names are those of the facts as given, whatever the changes before do to them; with `counts_anew`, of what these
-    have left. A name that no fact has changes nothing.
+    have left. A name that no fact has changes nothing. With `unites`, who is away twice at a time, by these changes,
+    is back when both have ended.
 
     Raises:
         UsageError: A fact would happen before the run begins, or after it has ended.
@@ -76,7 +86,15 @@ def edited_facts(
             left = _unplaced(found)
             found, names = _placed(left), facts_by_name(left)
         found = _changed(found, change, names, last_us)
-    return _unplaced(found)
+    return united(_unplaced(found), _placed_by(changes, facts)) if unites else _unplaced(found)
+
+
+def _placed_by(changes: Sequence[OfFacts], facts: Sequence[Fact]) -> list[Event]:
+    """Return the facts that the changes add or move."""
+    names = facts_by_name(tuple(facts))
+    moved = [name for one in changes if isinstance(one, Move) for name in matching_names(one.fact, names)]
+    added = [fact_of(one.event) for one in changes if isinstance(one, Add)]
+    return [*added, *(facts[at][1] for name in moved for at in names[name])]
 
 
 def _placed(facts: Sequence[Fact]) -> list[_Placed]:
@@ -159,12 +177,14 @@ def edited_environment(recipe: Recipe) -> EditedEnvironment:
     usual = world_of(recipe)
     facts: tuple[Fact, ...] = tuple(usual.facts)
     for from_us, era in eras(recipe):
-        facts = _continued(facts, tuple(era.facts), from_us)
+        facts = continued(facts, tuple(era.facts), from_us, numbers_again=recipe.rules != NOW)
     of_facts = [one for one in recipe.changes if isinstance(one, Drop | Move | Add)]
     answers = [one for one in recipe.changes if isinstance(one, Answer)]
     facts = _altered(facts, answers)
     if recipe.live is None:
-        return EditedEnvironment(usual, edited_facts(facts, of_facts, counts_anew=recipe.counts_anew), answers)
+        is_now, counts_anew = recipe.rules == NOW, recipe.rules == TO_0_15
+        facts = edited_facts(facts, of_facts, counts_anew=counts_anew, unites=is_now)
+        return EditedEnvironment(usual, facts, answers)
     facts = edited_facts(facts, of_facts, recipe.live.until_us)
     fleet = fleet_founding(recipe.spec.fleet_size, recipe.constants, recipe.live.alone)[1].fleet
     asked = [(one, _commanded(fleet, one)) for one in recipe.changes if isinstance(one, Commanded)]
@@ -196,25 +216,6 @@ def eras(recipe: Recipe) -> list[tuple[int, World]]:
     return [
         (from_us, environment_of(recipe.spec, constants)) for from_us, constants in constants_by_time(recipe).items()
     ]
-
-
-def _continued(before: tuple[Fact, ...], after: tuple[Fact, ...], from_us: int) -> tuple[Fact, ...]:
-    """Return the happenings of one world that begin before this time, and then those of the other, each whole."""
-    firsts, seconds = facts_by_name(before), facts_by_name(after)
-    kept = {name: places for name, places in firsts.items() if before[places[0]][0] < from_us}
-    facts = [before[at] for places in kept.values() for at in places]
-    facts += [
-        after[at]
-        for name, places in seconds.items()
-        if name not in kept and after[places[0]][0] >= from_us
-        for at in places
-    ]
-    apart: list[Fact] = []
-    last_us = 0
-    for time_us, fact in sorted(facts, key=lambda one: one[0]):
-        last_us = max(time_us, last_us + 1)
-        apart.append((last_us, fact))
-    return tuple(apart)
 
 
 def command(kernel: Kernel, recipe: Recipe) -> None:

@@ -23,7 +23,7 @@ from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.metrics.constant_names import constants_of, names_of_constants, unlike_ours
 
 from .change_texts import COMMAND, parsed
-from .changes import Answer, AnyChange, Architecture, Changes, Set, Without, microseconds_of
+from .changes import NOW, Answer, AnyChange, Architecture, Changes, Rules, Set, Without, microseconds_of
 from .experiment import Experiment
 from .live import ARCHITECTURE, SOURCE, LiveRecord, live_record, live_started
 from .own import with_sets, with_values
@@ -53,15 +53,15 @@ _ROOT = re.compile(r"[0-9a-f]{64}")
 class Recipe(msgspec.Struct, frozen=True):
     """The inputs of a run. Changes from the start are already in `spec` and `constants`.
 
-    `live`: the record of a live run; `spec` names the draws that replace missing answers then. With `counts_anew` each
-    change counts the facts left by the changes before it, as in forks of releases up to 0.15.
+    `live`: the record of a live run; `spec` names the draws that replace missing answers then. `rules`: what the
+    changes mean, which earlier releases read otherwise.
     """
 
     spec: RunSpec
     constants: Constants
     changes: Changes = ()
     live: LiveRecord | None = None
-    counts_anew: bool = False
+    rules: Rules = NOW
 
 
 class CannotReplay(Exception):

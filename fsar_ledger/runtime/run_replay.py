@@ -17,6 +17,7 @@ from fsar_ledger.ledger.store.locations import continued_by
 from fsar_ledger.projections.fold import State
 
 from .changeable import EditedEnvironment
+from .changes import NOW, TO_0_15, TO_0_16, Rules
 from .forks import command, edited_environment, last_shared, run_to_end
 from .handlers.commands import Command, Decide
 from .handlers.isolation import founded_alone
@@ -96,20 +97,19 @@ def replay_run(
     difference, started = _replayed(record, is_recorded, digests), record.events[0]
     if difference is None or is_recorded:  # the changes are in the world of the record
         return difference
-    if isinstance(started, RunStarted) and len(started.changes or ()) > 1:
-        # Forks of releases up to 0.15 are valid: each of their changes counts the facts left by those before it.
-        return None if _replayed(record, is_recorded, digests, counts_anew=True) is None else difference
-    return difference
+    earlier = (TO_0_16, TO_0_15) if isinstance(started, RunStarted) and started.changes else ()
+    # Forks of earlier releases are valid: their changes mean what they meant there.
+    return None if any(_replayed(record, is_recorded, digests, rules) is None for rules in earlier) else difference
 
 
 def _replayed(
-    record: LedgerRun, is_recorded: bool, digests: list[ForeignDigest] | None, *, counts_anew: bool = False
+    record: LedgerRun, is_recorded: bool, digests: list[ForeignDigest] | None, rules: Rules = NOW
 ) -> Difference | None:
     replay: _Replay | None = None
     try:
         if type(record.events[0]) in ALONE:
             return _replay_plan(record)
-        replay = _start_replay(record, is_recorded, counts_anew)
+        replay = _start_replay(record, is_recorded, rules)
         replay.run_to_end()
         replay.require_end()
         if digests is not None:
@@ -313,7 +313,7 @@ def _at(event: Event, time_us: int) -> str:
     return f"{event.__struct_config__.tag} at {time_us} microseconds{f' ({about})' if about else ''}"
 
 
-def _start_replay(record: LedgerRun, is_recorded: bool, counts_anew: bool) -> _Replay:
+def _start_replay(record: LedgerRun, is_recorded: bool, rules: Rules) -> _Replay:
     """Return the run at its founding. Raises: _Mismatch if it cannot be replayed, or founding or name differ."""
     started = record.events[0]
     if not isinstance(started, RunStarted):
@@ -324,7 +324,7 @@ def _start_replay(record: LedgerRun, is_recorded: bool, counts_anew: bool) -> _R
     try:
         if started.kind == "live" and started.source == SOURCE:
             return _LiveReplay(record, started, recorded_constants(started, len(record.events)))
-        recipe = msgspec.structs.replace(recorded_recipe(started, len(record.events)), counts_anew=counts_anew)
+        recipe = msgspec.structs.replace(recorded_recipe(started, len(record.events)), rules=rules)
     except CannotReplay as error:
         actual = f"{error.actual}, so the run cannot be replayed"
         raise _Mismatch(record.run_id, 0, error.field, None, error.expected, actual) from error
