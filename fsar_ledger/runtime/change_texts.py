@@ -306,7 +306,8 @@ def _added(named: str, words: list[str]) -> tuple[Add, ...]:
     is_spell, make = SHORT[kind]
     if (for_s is None) == is_spell or len(word) > 1:
         raise _Unfit(f"{kind} takes {'a length: for TIME' if is_spell else 'no length'}, and at most one more word")
-    events = make(who, seconds_text(at_s), *word)
+    lasting = "" if for_s is None else f"-for-{seconds_text(for_s)}"  # what begins together need not end together
+    events = make(who, f"{seconds_text(at_s)}{lasting}", *word)
     times = (at_s,) if for_s is None else (at_s, at_s + for_s)
     return tuple(Add(time_s, _checked(event)) for time_s, event in zip(times, events, strict=True))
 

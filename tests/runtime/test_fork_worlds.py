@@ -147,3 +147,16 @@ def test_a_fork_with_a_lower_rate_from_a_time_on_repeats_its_base_until_then() -
     record, found = base()[1], forked("set world.routine_rate_per_s=0.111 from 50s")
     assert found.parts_at is not None
     assert record.times_us[found.parts_at] >= 50 * S
+
+
+def test_windows_that_a_fork_has_from_one_moment_on_each_last_as_long_as_asked() -> None:
+    texts = ("add window:fleet/B1 20s for 5s", "add window:fleet/B1 20s for 30s review")
+    windows = {fact.window for _, fact in facts_of(0, *texts) if isinstance(fact, PolicyWindowOpened)}
+    more = windows - {fact.window for _, fact in facts_of(0) if isinstance(fact, PolicyWindowOpened)}
+    assert len(more) == 2
+    ways = {
+        fact.obstruction
+        for _, fact in facts_of(0, "add obstruction:B1 20s for 5s", "add obstruction:B1 20s for 9s")
+        if isinstance(fact, ObstructionAppeared) and "at-20s" in fact.obstruction
+    }
+    assert len(ways) == 2
