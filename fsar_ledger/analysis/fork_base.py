@@ -311,9 +311,10 @@ def _require_used(rerun: Rerun, change: Answer, forked: Fork) -> None:
         raise _unknown("question", change, change.question, [*short, *names])
     if not questions:
         raise UsageError(f"change {change}: it has no effect, the call is settled before it is answered")
-    raise UsageError(
-        f"change {change}: it has no effect, the answer is {questions[0].text} already; expected another answer"
-    )
+    why = f"the answer is {questions[0].text} already; expected another answer"
+    if any(question.text != change.answer for question in questions):
+        why = "with the other changes nobody asks that, or another of them answers it"
+    raise UsageError(f"change {change}: it has no effect, {why}")
 
 
 _SHORT = (CALL, RESPONSE)

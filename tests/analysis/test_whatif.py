@@ -200,6 +200,14 @@ def test_a_change_that_does_nothing_in_the_run_is_an_error(asking: Base, text: s
         rerun(asking).fork_with_effect(parsed([text]))
 
 
+@pytest.mark.parametrize(
+    "texts", [["answer call:1 deny", "drop task:*"], ["answer call:* deny", "answer call:1 approve"]], ids="; ".join
+)
+def test_an_answer_that_another_change_takes_away_is_not_said_to_be_so_already(asking: Base, texts: list[str]) -> None:
+    with pytest.raises(UsageError, match="with the other changes nobody asks that, or another of them answers it"):
+        rerun(asking).fork_with_effect(parsed(texts))
+
+
 def test_a_run_that_is_not_as_it_is_made_is_not_forked_and_its_event_is_named(bases: list[Base]) -> None:
     record = bases[0].record
     times = [*record.times_us]
