@@ -8,8 +8,9 @@ failed.
 A run's inputs are its world's facts and the answers at its ports. A fact that is taken away does not happen; without
 an answer, an attempt holds, a supervisor answers as usual, and with `lengths`, a duration takes the middle of its
 distribution. A set suffices if the outcome stands with it alone, and is 1-minimal if the outcome falls without any one
-element. But-for tests alone would miss causes when either of two suffices. A fact of the set without which the outcome
-has no value to compare is presupposed, not a cause: without a task nothing fails, and nothing succeeds.
+element. In the whole run without one element, new questions are answered as drawn, as in the fork. But-for tests alone
+would miss causes when either of two suffices. A fact of the set without which the outcome has no value to compare is
+presupposed, not a cause: without a task nothing fails, and nothing succeeds.
 
 A live run's inputs are its commands. Without some of them it may ask a question that the record does not answer and
 end there: it then neither has nor lacks the outcome, since how it would continue is unknown.
@@ -130,6 +131,8 @@ def outcome_of(text: str) -> Outcome:
 Progress = Callable[[int], None]
 USUAL = {ATTEMPT: 1, CALL: 0}
 """The default answers: an attempt holds, and the supervisor answers as the model's do."""
+ALL_ELSE = "*"
+"""In a set: questions that the original run does not ask are answered as drawn, too, and not as usual."""
 MOST_AT_ONCE = 200
 """Forks judged together; more take more memory and no less time."""
 
@@ -218,15 +221,20 @@ class Search:
         """Return whether the outcome is defined and stands with this set alone. Raises: QueryFailed."""
         return self.judge([one]) == [True]
 
+    def without_one(self, names: Sequence[str]) -> list[bool | None]:
+        """Return for each candidate whether the outcome stands in the whole run without it alone, as in its fork."""
+        whole = frozenset((*self.candidates, ALL_ELSE))
+        return self.judge([whole - {name} for name in names])
+
     def _play(self, kept: frozenset[str]) -> tuple[Sequence[int], Sequence[int | None], Sequence[object]]:
         removed = {index for name, indexes in self._places.items() if name not in kept for index in indexes}
         facts = [fact for index, fact in enumerate(self._facts) if index not in removed]
-        usual = self._world.answer
+        usual, candidates = self._world.answer, {*self.candidates}
 
         def answer(ask: Ask) -> int:
             drawn = usual(ask)
             name = name_of(ask)
-            if name is None or name in kept:
+            if name is None or name in kept or (ALL_ELSE in kept and name not in candidates):
                 return drawn
             kind = name.partition(":")[0]
             if kind in USUAL:
@@ -299,10 +307,9 @@ def cause(repeated: Rerun, outcome: Outcome, *, lengths: bool = False, progress:
     """
     search = Search(repeated, outcome, lengths=lengths, progress=progress)
     kept = smallest(search)
-    whole = frozenset(search.candidates)
     names = [name for name in search.candidates if name in kept]
     alone = dict(zip(names, search.judge([kept - {name} for name in names]), strict=True))
-    singles = search.judge([whole - {name} for name in search.candidates])
+    singles = search.without_one(search.candidates)
     necessary = {name for name, stands in zip(search.candidates, singles, strict=True) if stands is False}
     significant = kept | necessary
     targets = {entry.name: entry for entry in repeated.changeable() if entry.name in significant}

@@ -8,6 +8,7 @@ from fsar_ledger.analysis.avoidability import curve
 from fsar_ledger.analysis.causes import Cause, Outcome, Search, cause, outcome_of
 from fsar_ledger.analysis.fork_base import Rerun, base_of_record, rerun
 from fsar_ledger.base.errors import QueryFailed, UnknownQuery, UsageError
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
 from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.world import PolicyWindowOpened
@@ -15,6 +16,7 @@ from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.runtime.change_texts import parsed
 from fsar_ledger.runtime.changes import Drop
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.analysis.conftest import simulated
 
 ROOT = "0" * 64
@@ -41,8 +43,7 @@ def require_smallest(base: Rerun, outcome: Outcome, found: Cause, *, lengths: bo
     assert not any(search.judge([names - {name} for name in names])), "nothing can be left out"
     assert set(search.judge([names - {name} for name in causes])) <= {False}, "without a cause it is prevented"
     assert set(search.judge([names - {name} for name in presupposed])) <= {None}, "and not merely undefined"
-    whole = frozenset(search.candidates)
-    necessary = {name for name in causes if search.judge([whole - {name}]) == [False]}
+    necessary = {name for name in causes if search.without_one([name]) == [False]}
     assert {one.name for one in found.elements if one.is_necessary} == necessary
 
 
@@ -66,6 +67,20 @@ def test_without_a_necessary_cause_the_forked_run_does_not_have_the_outcome() ->
     for one in found.elements:
         forked = base.fork_with_effect(parsed([one.change]))
         assert (metric(forked.record, "policy_violations") == 0) == one.is_necessary
+
+
+@pytest.mark.parametrize(
+    ("architecture", "text"), [("cfc", "recovery_containment < 1"), ("dhma", "coordination_success < 1")]
+)
+def test_what_the_fork_without_a_cause_asks_anew_is_answered_as_the_world_answers_it(
+    architecture: str, text: str
+) -> None:
+    made = simulate_run(RunSpec(11, architecture, "full", "fleet-contention", 4, 0), Constants())
+    base, outcome = again(made), outcome_of(text)
+    for one in cause(base, outcome).elements:
+        forked = base.fork_with_effect(parsed([one.change])).record
+        has = outcome.of([(forked.times_us, forked.caused_by, forked.events)])
+        assert (has == [False]) == one.is_necessary
 
 
 @pytest.mark.slow
