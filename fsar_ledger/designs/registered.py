@@ -26,6 +26,9 @@ Field = tuple[str | int, ...]
 MAX_BYTES = 40_000
 """The largest file, whose content goes into event 0 of each of its runs; the package's own have at most 2,000."""
 
+ALL_IF_LEFT_OUT = (("capabilities", "visible_to", "roles"), ("off_shift", "robots", "robots"))
+"""Lists of a fleet that mean all when they are left out: an empty one would mean the opposite of what it says."""
+
 _TABLE = re.compile(r"\s*(\[\[?)\s*([^\[\]]+?)\s*\]")
 _KEY = re.compile(r"""\s*([\w-]+|"[^"]*"|'[^']*')((?:\s*\.\s*[\w-]+)*)\s*=""")
 _AT = re.compile(r"^(?P<what>.*?)(?: - at `\$(?P<at>.*)`)?$", re.DOTALL)
@@ -71,11 +74,17 @@ def decoded(text: str, kind: type[_T], where: str) -> _T:
     if kind is Scenario:
         content = _with_parameters(content, text, where)
     try:
-        return msgspec.convert(content, kind)
+        design = msgspec.convert(content, kind)
     except msgspec.ValidationError as error:
         field, value, expected = fault(str(error), kind, content)
         about = at_line(where, text, field) if field else where
         raise UsageError(f"{about}: found {value}, expected {expected}") from error
+    for table, key, who in ALL_IF_LEFT_OUT if kind is Fleet else ():
+        for number, entry in enumerate(content.get(table, ())):
+            if entry.get(key) == []:
+                about = at_line(where, text, (table, number, key))
+                raise UsageError(f"{about}: found an empty list, expected some {who}, or no such field, for all")
+    return design
 
 
 def _with_parameters(content: dict[str, Any], text: str, where: str) -> dict[str, Any]:

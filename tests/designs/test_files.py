@@ -126,6 +126,16 @@ def test_the_line_of_a_field_is_found_in_tables_inside_a_list_and_under_dotted_k
             "lasts_s = [1]",
             "my.toml:20: capabilities[1].lasts_s: found [1], expected a list of length 2",
         ),
+        (
+            "lasts_s = [1, 2.5]",
+            "lasts_s = [1, 2.5]\nvisible_to = []",
+            "my.toml:21: capabilities[1].visible_to: found an empty list, expected some roles, or no such",
+        ),
+        (
+            "to_s = 9.5",
+            "to_s = 9.5\nrobots = []",
+            "my.toml:29: off_shift[0].robots: found an empty list, expected some robots, or no such field, for all",
+        ),
     ],
 )
 def test_a_file_that_is_no_fleet_is_refused_with_its_line_and_field(now: str, then: str, message: str) -> None:
