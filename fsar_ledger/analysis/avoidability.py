@@ -13,10 +13,9 @@ from fsar_ledger.analysis.causes import Outcome
 from fsar_ledger.analysis.fork_base import Rerun
 from fsar_ledger.base.memory import without_collection
 from fsar_ledger.base.progress import Progress
-from fsar_ledger.designs.constants import END_US
 from fsar_ledger.events.world import OutsiderRequestInjected, TaskArrived
 from fsar_ledger.metrics.robustness import wilson
-from fsar_ledger.runtime.changeable import facts_by_name
+from fsar_ledger.runtime.changeable import continued
 from fsar_ledger.runtime.forks import kernel_of
 from fsar_ledger.runtime.ports import Fact, World
 from fsar_ledger.runtime.simulation import environment_of
@@ -27,6 +26,7 @@ STEPS = 8
 """Approximate number of further moments needed to find the point of no return."""
 FUTURES = 50
 MOST_AT_ONCE = 250
+_WORK = TaskArrived | OutsiderRequestInjected
 
 
 class Chance(msgspec.Struct, frozen=True):
@@ -151,28 +151,9 @@ def _played(repeated: Rerun, at_us: int, world: World) -> tuple[Sequence[int], S
 
 def _facts(base: Sequence[Fact], other: Sequence[Fact], at_us: int) -> tuple[Fact, ...]:
     """Return the facts begun by then with their ends, the tasks at their times, and the other world's later facts."""
-    by_name = facts_by_name(tuple(base))
-    is_kept = {
-        index
-        for indexes in by_name.values()
-        if base[indexes[0]][0] <= at_us or isinstance(base[indexes[0]][1], TaskArrived | OutsiderRequestInjected)
-        for index in indexes
-    }
-    kept = [fact for index, fact in enumerate(base) if index in is_kept]
-    names = {name for name, indexes in by_name.items() if indexes[0] in is_kept}
-    later = [
-        other[index]
-        for name, indexes in facts_by_name(tuple(other)).items()
-        if other[indexes[0]][0] > at_us and name not in names
-        for index in indexes
-    ]
-    spaced: list[Fact] = []
-    last_us = 0
-    for time_us, fact in sorted((*kept, *later), key=lambda timed: timed[0]):
-        last_us = max(time_us, last_us + 1)
-        if last_us <= END_US:
-            spaced.append((last_us, fact))
-    return tuple(spaced)
+    tasks = [fact for fact in base if isinstance(fact[1], _WORK)]
+    others = [fact for fact in other if not isinstance(fact[1], _WORK)]
+    return continued(tuple(base), tuple(sorted((*tasks, *others), key=lambda fact: fact[0])), at_us + 1)
 
 
 def _chance(at_us: int, avoided: Sequence[bool | None]) -> Chance:

@@ -2,8 +2,10 @@
 
 from random import Random
 
+import msgspec
 import pytest
 
+from fsar_ledger.analysis import avoidability
 from fsar_ledger.analysis.avoidability import curve
 from fsar_ledger.analysis.causes import Cause, Outcome, Search, cause, outcome_of
 from fsar_ledger.analysis.fork_base import Rerun, base_of_record, rerun
@@ -11,12 +13,15 @@ from fsar_ledger.base.errors import QueryFailed, UnknownQuery, UsageError
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
 from fsar_ledger.events.execution import ExecutionFinished
-from fsar_ledger.events.world import PolicyWindowOpened
+from fsar_ledger.events.world import ContextChanged, PeersMet, PolicyWindowOpened, RoutineDue
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.runtime.change_texts import parsed
 from fsar_ledger.runtime.changes import Drop
-from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from fsar_ledger.runtime.kernel import Kernel
+from fsar_ledger.runtime.ports import Fact, World
+from fsar_ledger.runtime.recipes import Recipe
+from fsar_ledger.runtime.simulation import RunSpec, environment_of, simulate_run
 from tests.analysis.conftest import simulated
 
 ROOT = "0" * 64
@@ -248,6 +253,32 @@ def test_before_its_window_opens_a_violation_can_be_avoided_and_after_it_cannot(
         assert (one.low or 0.0) <= (one.share or 0.0) <= (one.high or 0.0)
         assert (one.avoided > 0) or one.at_s > found.last_open_s
     assert [one.at_s for one in found.chances] == sorted(one.at_s for one in found.chances)
+
+
+def test_a_future_has_all_that_happens_in_its_world_from_its_moment_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    moment_us, worlds, played = 60_000_000, list[World](), list[tuple[Fact, ...]]()
+    kinds = (RoutineDue, PeersMet, ContextChanged)  # again and again, under no name of their own
+
+    class Played(Exception): ...
+
+    def met(_: Recipe, world: World) -> Kernel:
+        played.append(tuple(world.facts))
+        raise Played
+
+    base = again(simulated("fsar", VIOLATES))
+    for number in range(8):
+        spec = base.base.recipe.spec
+        worlds.append(environment_of(msgspec.structs.replace(spec, seed=spec.seed + 1 + number), Constants()))
+        monkeypatch.setattr(avoidability, "kernel_of", met)
+        with pytest.raises(Played):
+            avoidability._played(base, moment_us, worlds[-1])
+    for world, facts in zip(worlds, played, strict=True):
+        for kind in kinds:
+            later, drawn = (
+                [time_us for time_us, one in each if isinstance(one, kind) and time_us > moment_us]
+                for each in (facts, world.facts)
+            )
+            assert later == drawn
 
 
 def test_an_outcome_that_never_comes_is_avoided_to_the_end() -> None:
