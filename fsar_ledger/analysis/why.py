@@ -17,6 +17,7 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.runs import LedgerRun, start_of
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.changeable import Question, name_of
+from fsar_ledger.runtime.changes import NOW, RULES
 from fsar_ledger.runtime.forks import command, edited_environment, parts_at, record_of, run_to_end
 from fsar_ledger.runtime.handlers.commands import Command, Decide, React, Scheduled
 from fsar_ledger.runtime.kernel import Kernel
@@ -70,20 +71,24 @@ def decisions(record: LedgerRun, seqs: Collection[int]) -> dict[int, Decision]:
         recipe = recipe_of(record, started)
     except CannotReplay as reason:
         raise UsageError(f"run {run}: {reason}; only a run that can be made again shows what was read") from reason
-    try:
-        kernel = _ObservedKernel(record, started, recipe, seqs)
-        run_to_end(kernel, kernel.edited, recipe)
-    except (LookupError, ValueError, RuntimeError, TypeError) as error:
-        raise UsageError(
-            f"run {run}: it cannot be made again ({error!s:.300}); run `fsar-ledger verify --replay`"
-        ) from error
-    at = 0 if kernel.events[0] != started else parts_at(record, record_of(kernel))
-    if at is not None:
-        raise UsageError(
-            f"run {run}, event {at}: the record is not what its world and its handlers make, so nothing shows why; run "
-            "`fsar-ledger verify --replay`, which says what differs"
-        )
-    return kernel.made
+    differs: list[int] = []
+    for rules in RULES if started.changes else (NOW,):  # a fork's changes mean what they meant when it was made
+        recipe = msgspec.structs.replace(recipe, rules=rules)
+        try:
+            kernel = _ObservedKernel(record, started, recipe, seqs)
+            run_to_end(kernel, kernel.edited, recipe)
+        except (LookupError, ValueError, RuntimeError, TypeError) as error:
+            raise UsageError(
+                f"run {run}: it cannot be made again ({error!s:.300}); run `fsar-ledger verify --replay`"
+            ) from error
+        at = 0 if kernel.events[0] != started else parts_at(record, record_of(kernel))
+        if at is None:
+            return kernel.made
+        differs.append(at)
+    raise UsageError(
+        f"run {run}, event {differs[0]}: the record is not what its world and its handlers make, so nothing shows why; "
+        "run `fsar-ledger verify --replay`, which says what differs"
+    )
 
 
 class _ObservedKernel(Kernel):

@@ -180,6 +180,7 @@ left, too.
 NOW: Rules = "now"
 TO_0_16: Rules = "to 0.16"
 TO_0_15: Rules = "to 0.15"
+RULES = (NOW, TO_0_16, TO_0_15)
 
 NEVER = "never"
 """The answer that does not come before the run ends."""

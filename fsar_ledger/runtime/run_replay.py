@@ -17,7 +17,7 @@ from fsar_ledger.ledger.store.locations import continued_by
 from fsar_ledger.projections.fold import State
 
 from .changeable import EditedEnvironment
-from .changes import NOW, TO_0_15, TO_0_16, Rules
+from .changes import NOW, RULES, Rules
 from .forks import command, edited_environment, last_shared, run_to_end
 from .handlers.commands import Command, Decide
 from .handlers.isolation import founded_alone
@@ -97,7 +97,7 @@ def replay_run(
     difference, started = _replayed(record, is_recorded, digests), record.events[0]
     if difference is None or is_recorded:  # the changes are in the world of the record
         return difference
-    earlier = (TO_0_16, TO_0_15) if isinstance(started, RunStarted) and started.changes else ()
+    earlier = RULES[1:] if isinstance(started, RunStarted) and started.changes else ()
     # Forks of earlier releases are valid: their changes mean what they meant there.
     return None if any(_replayed(record, is_recorded, digests, rules) is None for rules in earlier) else difference
 

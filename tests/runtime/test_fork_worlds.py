@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import pytest
 
+from fsar_ledger.analysis.why import decisions
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, Supervisor
@@ -141,6 +142,8 @@ def test_a_fork_of_an_earlier_release_that_read_such_changes_otherwise_is_no_for
         assert old.events != new.events
         assert replay_run(old) is None
         assert replay_run(new) is None
+        last = max(seq for seq, cause in enumerate(old.caused_by) if cause)
+        assert [*decisions(old, [last])] == [last], "why it happened can be asked, too"
 
 
 def test_a_fork_with_a_lower_rate_from_a_time_on_repeats_its_base_until_then() -> None:
