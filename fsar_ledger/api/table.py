@@ -84,6 +84,10 @@ class Table(Rows):
         self.stored = rows
         """The rows as DuckDB gave them."""
 
+    def table(self) -> "Table":
+        """Return these rows, as every answer that has rows does."""
+        return self
+
     def arrow(self) -> pa.Table:
         """Return the rows as an Arrow table; sums of integers are int64 where they fit."""
         return _with_integers(self.stored)

@@ -147,6 +147,11 @@ def test_sql_reads_this_ledger_and_nothing_else(ledger: fsar_ledger.Ledger) -> N
             ledger.sql(sql)
 
 
+def test_the_table_of_a_table_is_itself(ledger: fsar_ledger.Ledger) -> None:
+    metrics = ledger.metrics()
+    assert metrics.table() is metrics
+
+
 def test_a_table_says_what_it_holds_for_and_shows_text_harmlessly(ledger: fsar_ledger.Ledger) -> None:
     table = ledger.sql("SELECT '<script>' || chr(27) || '[31m' AS evil, NULL AS nothing FROM range(30)")
     assert table.provenance.head == ledger.head
