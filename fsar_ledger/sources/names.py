@@ -116,6 +116,11 @@ class PrivateNames:
     def _failed(self, what: str, error: OSError) -> WriteFailed:
         return WriteFailed(f"{value(str(self._path))}: {what} ({error.strerror})")
 
+    def known(self, principal: str) -> str:
+        """Return the principal as the ledger names it, with the name itself if the table has no line of it."""
+        commitment = self._known.get(principal.removeprefix(KIND)) if self._is_name(principal) else None
+        return principal if commitment is None else KIND + commitment
+
     def event(self, event: Event) -> Event:
         """Return the event with commitments in place of the names of supervisors, and of persons that it observes."""
         changes: dict[str, object] = {}

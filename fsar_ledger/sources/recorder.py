@@ -274,14 +274,16 @@ class Recorder:
         return utc.parsed(started.epoch)
 
     def _require_same_supervisors(self, stored: StoredRun, fleet: Fleet) -> None:
-        """Refuse a robot with another supervisor than at the beginning; whose line is erased has another commitment."""
-        for one in () if isinstance(fleet, Mapping) or self._names is not None else fleet:
-            if (before := stored.supervisors[one.robot]) != one.supervisor:
-                raise UsageError(
-                    f"run {value(self.run)}: found {value(before or 'nobody')} as the supervisor of {value(one.robot)} "
-                    f"when it began, expected the same as now ({value(one.supervisor or 'nobody')}); give the run "
-                    "another name"
-                )
+        """Refuse a robot with another supervisor than at the beginning; whose line is erased is somebody else."""
+        for one in () if isinstance(fleet, Mapping) else fleet:
+            before, now = stored.supervisors[one.robot], one.supervisor
+            if before == (now if self._names is None or now is None else self._names.known(now)):
+                continue
+            erased = "" if self._names is None else " with the line that the table of names had of them then"
+            raise UsageError(
+                f"run {value(self.run)}: found {value(before or 'nobody')} as the supervisor of {value(one.robot)} "
+                f"when it began, expected the same as now ({value(now or 'nobody')}){erased}; give the run another name"
+            )
 
     def _time_us(self, at: datetime | None) -> int:
         if at is None:

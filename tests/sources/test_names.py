@@ -126,8 +126,8 @@ def test_the_table_is_never_within_the_ledger(tmp_path: Path) -> None:
         record(tmp_path / "out", run="n", private_names=tmp_path / "out" / "names")
 
 
-def test_a_robot_with_another_supervisor_does_not_go_on_in_the_run_but_with_an_erased_name(tmp_path: Path) -> None:
-    def fleet(supervisor: str) -> list[RobotJoined]:
+def test_a_robot_with_another_supervisor_does_not_go_on_in_the_run(tmp_path: Path) -> None:
+    def fleet(supervisor: str | None) -> list[RobotJoined]:
         columns = {"robot": "robot/a", "role": "agv", "supervisor": supervisor}
         return [msgspec.convert({"type": "RobotJoined.v1", **columns}, RobotJoined)]
 
@@ -135,9 +135,29 @@ def test_a_robot_with_another_supervisor_does_not_go_on_in_the_run_but_with_an_e
         record(tmp_path / "ledger", run="r", fleet=iter(fleet(ANN))).close()
     with pytest.raises(UsageError, match="found supervisor/ann as the supervisor of robot/a when it began"):
         record(tmp_path / "ledger", run="r", fleet=fleet("supervisor/ben"))
-    for _ in range(2):
-        record(tmp_path / "hidden", run="r", fleet=fleet(ANN), private_names=tmp_path / "names").close()
-        (tmp_path / "names").write_bytes(b"")
+    table = tmp_path / "names"
+    for run, supervisor in (("r", ANN), ("s", "supervisor/ben"), ("f", "supervisor/fleet"), ("n", None)):
+        for _ in range(2):
+            record(tmp_path / "hidden", run=run, fleet=fleet(supervisor), private_names=table).close()
+    lines = table.read_bytes()
+    for run, found, others in (
+        ("r", "supervisor/~", ("supervisor/ben", "supervisor/cy", "supervisor/fleet", None)),
+        ("n", "nobody", (ANN, "supervisor/cy", "supervisor/fleet")),
+    ):
+        for supervisor in others:
+            with pytest.raises(UsageError, match=f"found {found}.* as the supervisor of robot/a when it began"):
+                record(tmp_path / "hidden", run=run, fleet=fleet(supervisor), private_names=table)
+    assert table.read_bytes() == lines
+
+
+def test_whose_line_is_erased_is_in_no_run_that_goes_on_as_somebody_else(tmp_path: Path) -> None:
+    fleet, table = [joined(ANN)], tmp_path / "names"
+    record(tmp_path / "out", run="r", fleet=fleet, private_names=table).close()
+    table.write_bytes(b"")
+    with pytest.raises(UsageError, match="the line that the table of names had of them then; give the run another"):
+        record(tmp_path / "out", run="r", fleet=fleet, private_names=table)
+    assert table.read_bytes() == b""
+    record(tmp_path / "out", run="next", fleet=fleet, private_names=table).close()
 
 
 def test_a_name_for_which_the_disk_has_no_room_leaves_no_part_of_a_line(tmp_path: Path) -> None:
