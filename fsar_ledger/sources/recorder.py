@@ -247,6 +247,11 @@ class Recorder:
                 f"run {value(self.run)}: found a run with commitments in place of the names of people, expected their "
                 f"table ({option('private_names')}); what is appended stays"
             )
+        if self._names is not None and stored.opened is not None and stored.opened.adapter == FORMAT:
+            raise UsageError(
+                f"run {value(self.run)}: found a run with the names of people as they are, expected one with "
+                f"commitments; leave out {option('private_names')}, or give the run another name"
+            )
         if robots and robots != stored.robots:
             raise UsageError(
                 f"run {value(self.run)}: found {counted(len(stored.robots), 'robot')} with which it began "

@@ -35,6 +35,14 @@ def test_a_supervisor_has_one_commitment_wherever_it_is_named(tmp_path: Path) ->
     assert "ann" not in str(told)
 
 
+def test_a_run_with_names_as_they_are_does_not_go_on_with_commitments(tmp_path: Path) -> None:
+    record(tmp_path / "out", fleet=[joined(ANN)], run="n").close()
+    for fleet in ([joined(ANN)], []):
+        with pytest.raises(UsageError, match="found a run with the names of people as they are"):
+            record(tmp_path / "out", fleet=fleet, run="n", private_names=tmp_path / "names")
+    record(tmp_path / "out", fleet=[joined(ANN)], run="n").close()
+
+
 def test_a_run_with_commitments_goes_on_only_with_the_table_of_names(tmp_path: Path) -> None:
     for _ in range(2):
         record(tmp_path / "out", fleet=[joined(ANN)], run="n", private_names=tmp_path / "names").close()
