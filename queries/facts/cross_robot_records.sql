@@ -8,16 +8,31 @@
 --   is_given_up of a start, and where nothing follows
 -- Example: fsar-ledger query facts/cross_robot_records LEDGER
 -- Stored: audit reads it for two invariants or more
-WITH finished AS (
+WITH turns AS (
+    SELECT run_id, seq, action_id, robot, type IN ('ExecutionStarted.v1', 'ExecutionResumed.v1') AS is_begun
+    FROM event_principals
+    WHERE
+        type IN (
+            'ExecutionStarted.v1', 'ExecutionResumed.v1', 'ExecutionFinished.v1', 'ExecutionFailed.v1',
+            'ExecutionWithdrawn.v1'
+        )
+),
+
+-- A robot that has begun, and that nobody took the action from, ends its own execution, whoever began beside it.
+finished AS (
     SELECT
         done.run_id, done.seq, done.time_us, done.task_id, done.action_id, done.requested_by, done.executed_by,
         done.supervised_by, done.robot,
-        starts.robot AS began_by,
-        starts.on_behalf_of
+        if(act.is_begun, done.robot, starts.robot) AS began_by,
+        if(act.is_begun, own.on_behalf_of, starts.on_behalf_of) AS on_behalf_of
     FROM execution_finished AS done
     ANTI JOIN actions_under_way AS earlier ON done.run_id = earlier.run_id AND done.action_id = earlier.action_id
     ASOF LEFT JOIN execution_started AS starts
         ON done.run_id = starts.run_id AND done.action_id = starts.action_id AND done.seq > starts.seq
+    ASOF LEFT JOIN execution_started AS own
+        ON done.run_id = own.run_id AND done.action_id = own.action_id AND done.robot = own.robot AND done.seq > own.seq
+    ASOF LEFT JOIN turns AS act
+        ON done.run_id = act.run_id AND done.action_id = act.action_id AND done.robot = act.robot AND done.seq > act.seq
 ),
 
 steps AS (

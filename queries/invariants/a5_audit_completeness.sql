@@ -9,22 +9,28 @@
 -- Example: fsar-ledger query invariants/a5_audit_completeness LEDGER
 -- The robots are physical facts, the principals what was recorded. No supervisor is needed while that of the executing
 -- robot is recorded as absent; a robot without one of its own is supervised by H_F, who is always there.
-WITH phases AS (
+WITH calls AS (
+    -- A request that comes again under its name, before that was denied or closed, was sent again.
+    SELECT run_id, seq AS told, action_id, type AS call, helper FROM event_principals
+    WHERE
+        type IN ('RequestIssued.v1', 'RequestAdmitted.v1', 'RequestAccepted.v1', 'RequestDenied.v1', 'RequestClosed.v1')
+        OR type = 'ReassignmentDecided.v1'
+    WINDOW sent AS (PARTITION BY run_id, action_id, request_id, starts_with(type, 'RequestA') ORDER BY seq)
+    QUALIFY type <> 'RequestIssued.v1' OR request_id IS NULL OR lag(type) OVER sent IS DISTINCT FROM type
+),
+
+phases AS (
     SELECT
         records.run_id, records.seq,
-        max(events.seq) FILTER (
-            events.type IN ('RequestIssued.v1', 'ReassignmentDecided.v1') AND records.seq > events.seq
-        ) AS asked_seq,
-        max(events.seq) FILTER (
-            events.type IN ('RequestAdmitted.v1', 'ReassignmentDecided.v1') AND records.seq > events.seq
+        max(told) FILTER (call IN ('RequestIssued.v1', 'ReassignmentDecided.v1') AND records.seq > told) AS asked_seq,
+        max(told) FILTER (
+            call IN ('RequestAdmitted.v1', 'ReassignmentDecided.v1') AND records.seq > told
         ) AS admitted_seq,
-        max(events.seq) FILTER (events.type = 'RequestAccepted.v1' AND records.seq > events.seq) AS accepted_seq,
-        min(events.seq) FILTER (events.type = 'RequestClosed.v1' AND records.seq < events.seq) AS closed_seq
+        max(told) FILTER (call = 'RequestAccepted.v1' AND records.seq > told) AS accepted_seq,
+        min(told) FILTER (call = 'RequestClosed.v1' AND records.seq < told) AS closed_seq
     FROM cross_robot_records AS records
-    INNER JOIN event_principals AS events ON records.run_id = events.run_id AND records.action_id = events.action_id
-    WHERE
-        events.type IN ('RequestIssued.v1', 'RequestAdmitted.v1', 'RequestAccepted.v1', 'RequestClosed.v1')
-        OR (events.type = 'ReassignmentDecided.v1' AND records.robot = events.helper)
+    INNER JOIN calls ON records.run_id = calls.run_id AND records.action_id = calls.action_id
+    WHERE call <> 'ReassignmentDecided.v1' OR records.robot = calls.helper
     GROUP BY records.run_id, records.seq
 ),
 
@@ -33,23 +39,17 @@ judged AS (
         records.run_id, records.seq, records.time_us, records.type, records.action_id, records.robot, on_behalf_of,
         concat_ws(
             ', ',
-            CASE
-                WHEN requested_by IS DISTINCT FROM on_behalf_of THEN 'requester ' || coalesce(requested_by, 'missing')
-            END,
-            CASE
-                WHEN executed_by IS DISTINCT FROM records.robot THEN 'executor ' || coalesce(executed_by, 'missing')
-            END,
+            if(requested_by IS DISTINCT FROM on_behalf_of, 'requester ' || coalesce(requested_by, 'missing'), NULL),
+            if(executed_by IS DISTINCT FROM records.robot, 'executor ' || coalesce(executed_by, 'missing'), NULL),
             CASE WHEN supervised_by IS NULL AND absences.supervisor IS NULL THEN 'supervisor missing' END,
-            CASE WHEN asked_seq IS NULL THEN 'no earlier request' END,
+            if(asked_seq IS NULL, 'no earlier request', NULL),
             CASE WHEN coalesce(admitted_seq, -1) < coalesce(asked_seq, 0) THEN 'no admission of the request' END,
-            CASE
-                WHEN coalesce(accepted_seq, -1) < coalesce(admitted_seq, 0) THEN 'no acceptance after it was admitted'
-            END,
+            if(coalesce(accepted_seq, -1) < coalesce(admitted_seq, 0), 'no acceptance after it was admitted', NULL),
             CASE WHEN coalesce(records.robot <> began_by, TRUE) THEN 'begun by ' || coalesce(began_by, 'nobody') END,
-            CASE
-                WHEN next_seq < coalesce(closed_seq, next_seq + 1) AND (closed_seq IS NULL OR NOT is_given_up)
-                    THEN 'the task goes on before the request is closed'
-            END
+            if(
+                next_seq < coalesce(closed_seq, next_seq + 1) AND (closed_seq IS NULL OR NOT is_given_up),
+                'the task goes on before the request is closed', NULL
+            )
         ) AS lacks
     FROM cross_robot_records AS records
     LEFT JOIN phases ON records.run_id = phases.run_id AND records.seq = phases.seq
