@@ -1,7 +1,8 @@
 -- Title: Tasks that a departure hit: what a robot did for them was cut off, or nobody was there to act
 -- Paper: sec:discussion:heterogeneity
 -- Grain: one row per task with a request that ended as failure(departed), or with an execution, a recovery or a help
---   that a departure ended, or that was given up while a robot of one of its steps had departed
+--   that a departure ended, or that was given up while a robot of one of its steps had departed; where its steps are
+--   not on record, the robot that received it, or one that has executed for it
 -- Key: run_id, task_id
 -- Units: hit_seq, ended_seq positions in the run
 -- NULL: hit_seq where nothing but the giving up is on record; ended_seq, outcome of a task that is open to the end
@@ -26,6 +27,11 @@ WITH cut_off AS (
 
 acting AS (
     SELECT DISTINCT run_id, task_id, 'robot/' || split_part(unnest(steps), ' ', 1) || team AS robot FROM task_arrived
+    UNION
+    SELECT arrived.run_id, arrived.task_id, unnest([arrived.robot, starts.robot]) AS robot
+    FROM task_arrived AS arrived
+    LEFT JOIN execution_started AS starts ON arrived.run_id = starts.run_id AND arrived.task_id = starts.task_id
+    WHERE coalesce(len(arrived.steps), 0) = 0
 ),
 
 ends AS (

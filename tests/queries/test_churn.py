@@ -66,6 +66,22 @@ def test_a_task_is_given_up_for_a_departure_only_while_a_robot_of_its_steps_is_g
     assert fate(DEPARTED, COMPLETED) == []
 
 
+def test_a_task_without_steps_on_record_is_of_the_robot_that_received_it_and_of_those_that_executed_for_it() -> None:
+    received = event("TaskArrived", 1 * S, task_id=T, robot=B)
+    for arrived in (received, {**received, "steps": []}):
+        columns = ("task_id", "outcome")
+        assert answer("facts/tasks_of_departed", run(arrived, DEPARTED, ABANDONED), columns=columns) == [
+            (T, "abandoned")
+        ]
+        assert answer("facts/tasks_of_departed", run(arrived, DEPARTED, RETURNED, ABANDONED)) == []
+        assert answer("audit/churn", run(arrived, DEPARTED, ABANDONED), columns=("tasks_abandoned",)) == [(1,)]
+    of_another = {**received, "robot": "robot/A1"}
+    begun = act("ExecutionStarted", 2 * S, "t1/1", robot=B, on_behalf_of="robot/A1")
+    assert len(answer("facts/tasks_of_departed", run(of_another, begun, DEPARTED, ABANDONED))) == 1
+    assert answer("facts/tasks_of_departed", run(of_another, DEPARTED, ABANDONED)) == []
+    assert fate(begun, {**DEPARTED, "robot": "robot/A2"}, ABANDONED) == []
+
+
 def test_a_task_that_is_told_of_twice_is_one() -> None:
     assert fate(ARRIVED, DEPARTED, FAILED, FAILED, COMPLETED, COMPLETED) == [(T, "completed")]
     assert fate(ARRIVED, DEPARTED, FAILED, ABANDONED, COMPLETED) == [(T, "completed")]
