@@ -7,11 +7,18 @@
 --   it adds to those of its metric, microseconds for the latency; denominator 0 of what is only counted
 -- NULL: numerator of a case that was not seen to be one or none
 -- Example: fsar-ledger query facts/metric_cases LEDGER
+WITH completed AS (
+    SELECT DISTINCT run_id, task_id FROM task_completed
+)
+
 SELECT
-    arrived.run_id, 'coordination_success' AS metric, arrived.time_us, (late.run_id IS NULL)::BIGINT AS numerator,
+    arrived.run_id, 'coordination_success' AS metric, arrived.time_us,
+    CASE WHEN late.run_id IS NOT NULL THEN 0 WHEN done.run_id IS NOT NULL THEN 1 END::BIGINT AS numerator,
     1::BIGINT AS denominator
 FROM task_arrived AS arrived
 LEFT JOIN late_tasks AS late ON arrived.run_id = late.run_id AND arrived.seq = late.arrived_seq
+LEFT JOIN completed AS done
+    ON arrived.run_id = done.run_id AND arrived.task_id = done.task_id AND arrived.budget_us IS NOT NULL
 UNION ALL
 SELECT run_id, 'governance_locality' AS metric, time_us, is_local::BIGINT AS numerator, 1 AS denominator
 FROM decisions

@@ -29,7 +29,7 @@ late AS (
         coalesce(ended_us, due_us) AS time_us,
         task_id AS about,
         concat(
-            task_id, printf(' is due at %.3f s, and ', due_us / 1e6),
+            task_id, coalesce(printf(' is due at %.3f s, and ', due_us / 1e6), ' '),
             CASE is_completed WHEN TRUE THEN 'completed' WHEN FALSE THEN 'given up' ELSE 'never ended' END,
             printf(' at %.3f s', ended_us / 1e6)
         ) AS found,

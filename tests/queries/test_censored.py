@@ -182,6 +182,40 @@ def test_what_is_open_where_a_record_ends_is_counted(
     assert rows == found
 
 
+def late(*events: dict[str, Any], **started: Any) -> list[Any]:
+    return answer("facts/late_tasks", run(*events, **started), columns=("arrived_seq", "held_up_seqs"))
+
+
+def test_a_task_that_a_recording_stopped_too_early_to_tell_of_is_not_late() -> None:
+    again = event("SourceOpened", 9 * S, source="s", format="f", adapter="a", clock="arrival")
+    unlimited = event("TaskArrived", S, task_id="u")
+    assert late(ARRIVED, unlimited, seen_at(9), **FOREIGN) == []
+    assert late(ARRIVED, **FOREIGN) == []
+    assert late(seen_at(0), ARRIVED, seen_at(9), again, seen_at(60), **FOREIGN) == []
+    assert late(ARRIVED, seen_at(10), again, seen_at(60), **FOREIGN) == [(1, [])]
+    assert late(ARRIVED, {**again, "input_sha256": "0" * 64}, seen_at(60), **FOREIGN) == [(1, [])]
+    assert late(ARRIVED, seen_at(10), **FOREIGN) == [(1, [])]
+    assert late(ARRIVED, seen_at(10), **{**FOREIGN, "observes": [], "records": ["TaskArrived"]}) == []
+    assert late(ARRIVED, seen_at(9)) == late(ARRIVED, seen_at(9), kind="live") == [(1, [])]
+    cases = answer("facts/metric_cases", run(ARRIVED, unlimited, seen_at(9), **FOREIGN), columns=("numerator",))
+    assert cases == [(None,), (None,)]
+
+
+def test_what_held_up_a_task_is_not_told_of_the_next_one_of_its_name() -> None:
+    denied = event("RequestDenied", 2 * S, task_id="t", reason="busy")
+    done, again = event("TaskCompleted", 30 * S, task_id="t"), event("TaskArrived", 40 * S, task_id="t", budget_us=S)
+    held = event("ExecutionHeld", 41 * S, task_id="t", action_id="t/1", robot="robot/A1")
+    given_up = event("TaskAbandoned", 42 * S, task_id="t")
+    assert late(ARRIVED, denied, done, again, held, given_up) == [(1, [2]), (4, [5])]
+    assert late(ARRIVED, denied, done, again, given_up) == [(1, [2]), (4, [])]
+
+
+def test_the_verdict_on_a_task_without_a_budget_on_record_names_no_time_at_which_it_was_due() -> None:
+    unlimited, given_up = event("TaskArrived", S, task_id="u"), event("TaskAbandoned", 4 * S, task_id="u")
+    found = answer("facts/verdict_events", run(unlimited, given_up, **FOREIGN), columns=("verdict", "found"))
+    assert found == [("late", "u given up at 4.000 s")]
+
+
 MIXED_UP = "which task was completed"
 DONE = event("TaskCompleted", 3 * S, task_id="t")
 
