@@ -44,9 +44,11 @@ PRINCIPALS = frozenset(
         *("requested_by", "executed_by", "supervised_by", "on_behalf_of"),
     }
 )
-"""Columns that name who acts."""
+"""Columns that name who acts, each by kind and name (`robot/A1`, `supervisor/A1`), or the coordinator."""
 IDENTITIES = PRINCIPALS | {"task_id", "action_id", "request_id"}
 """Columns whose names have at least a letter."""
+OUTCOMES = {"ExecutionFinished": "result", "RequestClosed": "result", "SupervisorResponded": "approves"}
+"""Columns that record an outcome; an event without one would count as a success that nobody reported."""
 ALIGNED = (("names", "texts"), ("objects", "qualifiers"))
 """Columns of an observation that go together."""
 _FLAW = re.compile(r"(?P<what>.*?)(?: - at `\$(?P<at>.*)`)?", re.DOTALL)
@@ -68,6 +70,11 @@ def event_of(tag: object, columns: Mapping[str, Any]) -> Event:
         raise UsageError(
             f"field {value(unknown[0])}: found it in {kind}, which has no such field"
             f"{did_you_mean(unknown[0], known)}; expected some of {', '.join(known)}"
+        )
+    if (outcome := OUTCOMES.get(kind)) is not None and outcome not in columns:
+        raise UsageError(
+            f"field {outcome}: found none, expected one in {kind}, since how it ended is never assumed; what nobody "
+            "knows more of is an observation (Observed)"
         )
     event = laid_out(layout, columns)
     for first, second in ALIGNED if isinstance(event, Observed) else ():

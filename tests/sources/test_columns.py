@@ -210,3 +210,21 @@ def test_an_event_from_python_is_no_admission_that_denies_either(tmp_path: Path)
         denied = msgspec.structs.replace(event_of("RequestAdmitted", {**columns, "outcome": "allow"}), outcome="deny")
         with pytest.raises(UsageError, match="found deny in RequestAdmitted"):
             one.event(denied)
+
+
+@pytest.mark.parametrize(
+    ("kind", "column", "outcome"),
+    [
+        ("ExecutionFinished", "result", "partial"),
+        ("RequestClosed", "result", "failure"),
+        ("SupervisorResponded", "approves", False),
+    ],
+)
+def test_how_something_ended_is_told_or_the_event_is_refused(kind: str, column: str, outcome: object) -> None:
+    """Left out, it would have ended well, and a human would have approved."""
+    named = {"task_id": "t", "action_id": "t/1"} | ({"robot": "robot/A1"} if kind == "ExecutionFinished" else {})
+    named |= {"purpose": "review"} if kind == "SupervisorResponded" else {}
+    for tag in (kind, f"{kind}.v1"):
+        assert getattr(event_of(tag, {**named, column: outcome}), column) == outcome
+        with pytest.raises(UsageError, match=f"field {column}: found none, expected one in {kind}"):
+            event_of(tag, named)
