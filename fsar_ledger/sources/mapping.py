@@ -33,7 +33,7 @@ from fsar_ledger.designs.registered import Field, at_line, decoded
 from fsar_ledger.events import CONCERN_OF
 
 from .adapter import Derived, Input, Record, known, objects, shown, utc_us
-from .columns import LAYOUT_OF, declared, laid_out
+from .columns import LAYOUT_OF, OUTCOMES, declared, laid_out
 
 _IN_TEXT = re.compile(r"\{(/[^{}]*)\}")
 _POINTER = re.compile(r"/([^~]|~[01])*")
@@ -161,6 +161,8 @@ def _flaws_of_rule(where: Field, rule: MappedEvent, kinds: frozenset[str]) -> It
         return
     if rule.type not in kinds:
         yield (*where, "type"), rule.type, f"a type that `observes` names ({', '.join(sorted(kinds)) or 'none'})"
+    if (outcome := OUTCOMES.get(rule.type, "")) not in {"", *rule.fields}:
+        yield (*where, "type"), rule.type, f"its {outcome} among `fields`, since how it ended is never assumed"
     columns = {field.name: field for field in LAYOUT_OF[rule.type].fields}
     for name, text in rule.fields.items():
         if name not in columns:
@@ -253,6 +255,8 @@ def _derived(rule: MappedEvent, data: Any) -> Derived | None:
     """Return the event of a rule; None where the record lacks a field that it must have, or has it of another kind."""
     filled = {name: _filled(text, data) for name, text in rule.fields.items()}
     given = {name: one for name, one in filled.items() if one is not _MISSING}
+    if OUTCOMES.get(rule.type) in filled.keys() - given.keys():
+        return None
     try:
         event = laid_out(LAYOUT_OF[rule.type], given)
     except UsageError:

@@ -27,7 +27,7 @@ time = "/when"
 kind = "/event"
 objects = { "/robot" = "robot", "/by" = "asker" }
 """
-FINISHED = {"task_id": "/job", "action_id": "{/job}/1", "robot": "robot/{/robot}"}
+FINISHED = {"task_id": "/job", "action_id": "{/job}/1", "robot": "robot/{/robot}", "result": "success"}
 
 
 def rule(kind: str, match: str = "{}", *more: str, **fields: str) -> str:
@@ -147,6 +147,15 @@ def test_a_number_of_the_mapping_stands_for_itself() -> None:
 )
 def test_a_record_that_lacks_a_value_or_has_another_kind_is_not_understood(data: dict[str, Any]) -> None:
     assert derived(data, DONE) is None
+
+
+def test_a_record_that_does_not_tell_how_something_ended_has_not_ended_well() -> None:
+    finished = rule("ExecutionFinished", **FINISHED | {"result": "/result"})
+    data = {"job": "t", "robot": "A1"}
+    assert event({**data, "result": "partial"}, finished).result == "partial"
+    assert derived(data, finished) is derived({**data, "result": None}, finished) is None
+    silent = rule("ExecutionFinished", **{name: text for name, text in FINISHED.items() if name != "result"})
+    assert "expected its result among `fields`, since how it ended is never assumed" in wrong(HEAD, silent)
 
 
 def test_a_field_that_may_be_unknown_is_none_where_the_record_lacks_it() -> None:
