@@ -27,7 +27,7 @@ from fsar_ledger.events import CONCERN_OF, Event
 from fsar_ledger.ledger.rows.schema import MAX_INTEGER, RECORDS, Field
 
 from .adapter import Derived, Input, Record, shown
-from .columns import LAYOUT_OF, laid_out
+from .columns import LAYOUT_OF, OUTCOMES, laid_out
 from .ocel_logs import Item, Log, opened_log
 
 OWN = {name: layout for name, layout in LAYOUT_OF.items() if name in CONCERN_OF}
@@ -186,6 +186,8 @@ def _value(field: Field, found: Any) -> Any:
 def _event(kind: str, row: dict[str, Any]) -> Event | None:
     """Return the event of ours with these columns, None if it lacks one or has one that a ledger cannot hold."""
     if any(isinstance(one, int) and abs(one) > MAX_INTEGER for one in row.values()):
+        return None
+    if (outcome := OUTCOMES.get(kind)) is not None and row.get(outcome) is None:
         return None
     try:
         return laid_out(OWN[kind], row)

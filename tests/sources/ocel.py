@@ -87,6 +87,9 @@ def parties(requester: str, executor: str) -> Log:
     return {"requester": requester, "executor": executor, "supervisor": executor.replace("robot/", "supervisor/")}
 
 
+ENDED = {"result": "success"}
+
+
 def honest_events() -> list[Log]:
     """A run as it is exported: A does a step of its own and has B do the next, while no policy forbids it."""
     a, b = "robot/A", "robot/B"
@@ -99,13 +102,13 @@ def honest_events() -> list[Log]:
         ("PolicyWindowClosed", {"robot": b, "scope": "local", "window": "w"}),
         ("OwnStepDecided", {**own, "decider": a, "path": a, "capability": "go"}),
         ("ExecutionStarted", {**own, "robot": a, "on_behalf_of": a, "capability": "go"}),
-        ("ExecutionFinished", {**own, "robot": a}),
+        ("ExecutionFinished", {**own, "robot": a, **ENDED}),
         ("RequestIssued", {**asked, "decider": a, "path": a, "capability": "open"}),
         ("RequestAdmitted", {**asked, "decider": b, "path": b, "outcome": "allow"}),
         ("RequestAccepted", {**asked, "decider": b, "path": b}),
         ("ExecutionStarted", {**asked, "robot": b, "on_behalf_of": a, "capability": "open"}),
-        ("ExecutionFinished", {**asked, "robot": b}),
-        ("RequestClosed", {**asked, "decider": "service/coordination", "path": "service/coordination"}),
+        ("ExecutionFinished", {**asked, "robot": b, **ENDED}),
+        ("RequestClosed", {**asked, "decider": "service/coordination", "path": "service/coordination", **ENDED}),
     ]
     return [
         event(f"1:{at}", kind, at, run="1", **columns, seq=at, caused_by=at - 1)

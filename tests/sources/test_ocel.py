@@ -186,6 +186,16 @@ def test_a_type_of_ours_of_which_one_event_cannot_come_back_is_not_declared(impo
     assert "ExecutionFinished" not in made.declared.records
 
 
+@pytest.mark.parametrize("kind", ["ExecutionFinished", "RequestClosed"])
+def test_an_event_of_ours_that_does_not_tell_how_it_ended_has_not_ended_well(imported: Import, kind: str) -> None:
+    events = honest_events()
+    silent = next(one for one in events if one["type"] == kind)
+    silent["attributes"] = [one for one in silent["attributes"] if one["name"] != "result"]
+    made = imported(log(events, also=CONTEXT)).made
+    assert kind not in made.events
+    assert kind not in made.declared.records
+
+
 def test_numbers_and_lists_that_another_writer_made_texts_of_come_back(imported: Import) -> None:
     task: dict[str, Any] = {
         "task": "T1",
