@@ -17,7 +17,7 @@ from fsar_ledger.base import utc
 from fsar_ledger.base.errors import InvalidRun, UsageError, WriteFailed
 from fsar_ledger.base.printable import counted, did_you_mean, escaped, value
 from fsar_ledger.events import CONCERN_OF, CONCERNS, Event
-from fsar_ledger.events.envelope import flat
+from fsar_ledger.events.envelope import COORDINATOR, flat
 from fsar_ledger.events.request import RequestAdmitted
 from fsar_ledger.events.source import Observed
 from fsar_ledger.events.world import PolicyWindowOpened
@@ -76,6 +76,10 @@ def event_of(tag: object, columns: Mapping[str, Any]) -> Event:
             f"field {outcome}: found none, expected one in {kind}, since how it ended is never assumed; what nobody "
             "knows more of is an observation (Observed)"
         )
+    for name in sorted(PRINCIPALS & columns.keys()):
+        if isinstance(found := columns[name], str) and found not in ("", COORDINATOR) and "/" not in found:
+            meant = value(f"{'supervisor' if name.startswith('supervis') else 'robot'}/{found}")
+            raise UsageError(f"field {name}: found {value(found)} in {kind}, expected a kind and a name, as in {meant}")
     event = laid_out(layout, columns)
     for first, second in ALIGNED if isinstance(event, Observed) else ():
         if len(getattr(event, first)) != len(getattr(event, second)):

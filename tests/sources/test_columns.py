@@ -228,3 +228,24 @@ def test_how_something_ended_is_told_or_the_event_is_refused(kind: str, column: 
         assert getattr(event_of(tag, {**named, column: outcome}), column) == outcome
         with pytest.raises(UsageError, match=f"field {column}: found none, expected one in {kind}"):
             event_of(tag, named)
+
+
+@pytest.mark.parametrize(
+    ("kind", "column", "meant"),
+    [
+        ("TaskArrived", "robot", "robot/A1"),
+        ("ExecutionStarted", "executed_by", "robot/A1"),
+        ("ExecutionStarted", "supervised_by", "supervisor/A1"),
+        ("RobotJoined", "supervisor", "supervisor/A1"),
+        ("RequestAccepted", "decided_by", "robot/A1"),
+    ],
+)
+def test_who_is_named_without_a_kind_is_nobody_of_the_fleet_and_is_refused(kind: str, column: str, meant: str) -> None:
+    """It would be a stranger to every judge, and a person's name would stand on record as it is."""
+    named = {"task_id": "t", "action_id": "t/1", "robot": "robot/A1", "capability": "pick", "role": "a"}
+    known = {field.name for field in columns.LAYOUT_OF[kind].fields}
+    named = {name: one for name, one in named.items() if name in known}
+    with pytest.raises(UsageError, match=f"field {column}: found A1 in {kind}, expected a kind and .* as in {meant}$"):
+        event_of(kind, {**named, column: "A1"})
+    for principal in (meant, *([None, "coordinator"] if column.endswith("_by") else [])):
+        event_of(kind, {**named, column: principal})
