@@ -146,7 +146,9 @@ def evolve(state: Execution, event: HANDLES) -> Execution:
         case ExecutionStarted():
             return _staged(state, event, "running", ends_us=event.ends_us)
         case ExecutionFinished():
-            return ended(state, event.subject.action_id)
+            known = state.actions.get(event.subject.action_id)
+            is_there = known is None or known.robot == event.robot
+            return ended(state, event.subject.action_id) if is_there else state
         case ExecutionHeld():
             return _held(state, event)
         case ExecutionPaused():

@@ -15,6 +15,7 @@ from fsar_ledger.view.spans import spans_of
 BEGAN = datetime(2026, 3, 1, 10, tzinfo=UTC)
 A = RobotJoined(robot="robot/a", role="cart", supervisor=None)  # type: ignore[arg-type]
 OF: dict[str, Any] = {"task_id": "t", "action_id": "t/1", "robot": "robot/a"}
+DONE: dict[str, Any] = {**OF, "result": "success"}
 RESOLVED: dict[str, Any] = {**OF, "failure": 1, "level": "fleet"}
 STEP: dict[str, Any] = {**OF, "failed_action": "t/1", "failure": 1, "level": "local", "to_level": "peer"}
 
@@ -22,9 +23,9 @@ STEP: dict[str, Any] = {**OF, "failed_action": "t/1", "failure": 1, "level": "lo
 @pytest.mark.parametrize(
     ("events", "idle"),
     [
-        ([(5, "ExecutionFinished", {**OF, "result": "success"})], [False, False, True]),
+        ([(5, "ExecutionFinished", DONE)], [False, False, True]),
         (
-            [(2, "RecoveryEscalated", STEP), (3, "FailureResolved", RESOLVED), (5, "ExecutionFinished", OF)],
+            [(2, "RecoveryEscalated", STEP), (3, "FailureResolved", RESOLVED), (5, "ExecutionFinished", DONE)],
             [False, False, True],
         ),
         ([(5, "RobotCameBack", {"robot": "robot/a"})], [False, False, True]),
@@ -86,10 +87,10 @@ def test_a_robot_that_does_another_action_meanwhile_helps_on_beside_and_after_it
             (2, "ExecutionStarted", {**own, "capability": "carry"}),
             (3, "ExecutionQueued", {**own, "action_id": "u/2", **queued}),
             (4, "ExecutionWithdrawn", {**own, "action_id": "u/2"}),
-            (5, "ExecutionFinished", own),
+            (5, "ExecutionFinished", {**own, "result": "success"}),
             (7, "ExecutionStarted", {**own, "capability": "carry"}),
             (8, "AssistanceEnded", helps),
-            (9, "ExecutionFinished", own),
+            (9, "ExecutionFinished", {**own, "result": "success"}),
             (10, "SupervisorLeft", {"supervisor": "supervisor/x"}),
         ):
             recorder.event(name, at=BEGAN + timedelta(seconds=at_s), **columns)
@@ -117,7 +118,7 @@ def test_a_robot_does_all_that_it_has_begun_until_something_ends_it(tmp_path: Pa
         for at_s, name, columns in (
             (1, "ExecutionStarted", {**OF, "capability": "navigate"}),
             (2, "ExecutionStarted", {**follow, "capability": "follow"}),
-            (3, "ExecutionFinished", follow),
+            (3, "ExecutionFinished", {**follow, "result": "success"}),
         ):
             recorder.event(name, at=BEGAN + timedelta(seconds=at_s), **columns)
     ledger = open_ledger(tmp_path / "ledger")
@@ -126,6 +127,25 @@ def test_a_robot_does_all_that_it_has_begun_until_something_ends_it(tmp_path: Pa
         assert ([one.action_id for one in told.work], told.queue) == (expected, ())
     rows = ledger.query("audit/robot_activity", run="day", at=2).rows()
     assert {row["action_id"] for row in rows} == {"t/1", "t/1/follow"}
+
+
+def test_a_robot_goes_on_with_what_another_one_has_ended_for_itself(tmp_path: Path) -> None:
+    begun, b = {**OF, "capability": "carry"}, {"robot": "robot/b"}
+    fleet = [A, RobotJoined(robot="robot/b", role="cart", supervisor=None)]  # type: ignore[arg-type]
+    with record(tmp_path / "ledger", run="day", fleet=fleet, observes=CONCERNS, epoch=BEGAN) as recorder:
+        for at_s, name, columns in (
+            (1, "ExecutionStarted", begun),
+            (2, "ExecutionStarted", begun | b),
+            (3, "ExecutionFinished", DONE),
+            (4, "ExecutionFinished", DONE | b),
+        ):
+            recorder.event(name, at=BEGAN + timedelta(seconds=at_s), **columns)
+    ledger = open_ledger(tmp_path / "ledger")
+    for at, expected in ((3, ["robot/b"]), (4, [])):
+        robots = ledger.state("day", at=at).standing.robots or ()
+        assert [f"{one.robot}" for one in robots if one.work] == expected
+        told = ledger.query("audit/robot_activity", run="day", at=at).rows()
+        assert [row["robot"] for row in told if row["action_id"]] == expected
 
 
 @pytest.mark.parametrize(("ends", "doing"), [((), []), (("ExecutionFinished", "ExecutionWithdrawn"), ["t/1"])])
