@@ -23,7 +23,7 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
 from fsar_ledger.ledger.store.paths import MANIFEST
 
-from .columns import Declared, declared, event_of, require_full_names, require_outcome, storable_text
+from .columns import Declared, declared, event_of, require_outcome, storable_text
 from .names import PrivateNames
 from .stored import NewEvent, StoredRun, commit, stored_run
 
@@ -86,11 +86,9 @@ class Recorder:
             stored = stored_run(path, self.run)
             if stored is None:
                 self._next, self._last_us, self._epoch = 0, 0, begins
-                self._robots = {robot for robot, _ in roles_of(fleet)}
                 self._begin(fleet, opened)
             else:
                 self._next, self._last_us, self._is_live = stored.size, stored.last_us, False
-                self._robots = {*stored.robots}
                 self._epoch = self._continued(stored, dict(roles_of(fleet)), epoch and begins)
                 self._require_same_supervisors(stored, fleet)
                 self._put(self._last_us, None, opened or self._opening())
@@ -124,8 +122,6 @@ class Recorder:
             self._require_recordable(event)
             number = self._put(self._time_us(at), caused_by, event)
             self._is_live = at is None
-            if isinstance(event, RobotJoined):
-                self._robots.add(event.robot)
             return number
 
     def observed(
@@ -311,7 +307,6 @@ class Recorder:
                 "`observes` of a new run"
             )
         require_outcome(event)
-        require_full_names(event, self._robots)
         alone = LedgerRun(self.run, [0], [None], [event], self._next)
         if (flaw := first_unfit([alone])) is not None:
             raise refusal(flaw)

@@ -56,22 +56,6 @@ def test_lines_that_are_wrong_are_refused_by_number_and_the_others_are_recorded(
     assert tasks(tmp_path / "ledger") == ["a", "b"]
 
 
-def test_a_robot_of_the_fleet_without_its_kind_is_refused_whenever_it_joined(tmp_path: Path) -> None:
-    begun: dict[str, Any] = {**STARTED}
-
-    def refused(column: str, name: str, **fleet: Any) -> None:
-        with fsar_ledger.record(tmp_path / "ledger", run="night", observes=["execution"], **fleet) as one:
-            if not fleet:
-                one.event("RobotJoined", robot="robot/b", role="door")
-            with pytest.raises(UsageError, match=rf"field {column}: found {name} in \w+, expected robot/{name}"):
-                one.event("ExecutionStarted", **begun | {column: name})
-            one.event("ExecutionStarted", **begun | {column: f"robot/{name}"})
-
-    refused("executed_by", "a", fleet={"a": "carrier"})
-    refused("robot", "a")
-    refused("on_behalf_of", "b")
-
-
 def test_each_line_is_on_disk_before_the_next_is_read_and_ctrl_c_is_quiet(tmp_path: Path) -> None:
     command = [*COMMAND, "record", str(tmp_path / "ledger"), "--run", "night", "--observes", "TaskArrived"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
