@@ -315,7 +315,7 @@ def test_a_line_that_is_no_object_is_kept_and_the_others_are_read(tmp_path: Path
 
 def test_a_robot_of_the_fleet_without_its_kind_is_refused_and_not_told_as_a_stranger(tmp_path: Path) -> None:
     """`B1` beside a fleet of `robot/B1` would offend I1, though it is the same robot."""
-    bare = rule("ExecutionFinished", '{ "/event" = "done" }', **FINISHED | {"robot": "/robot"}, result="success")
+    bare = rule("ExecutionFinished", '{ "/event" = "done" }', **FINISHED | {"robot": "/robot"})
     data = b'{"event":"done","job":"t","robot":"%s"}\n'
 
     def imported(robot: bytes, *rules: str) -> Imported:
