@@ -1,4 +1,4 @@
-"""What every answer has: a document for programs, a text for people, an exit code, and what it holds for."""
+"""The interface of all answers: a JSON document, text, an exit code, and the ledger heads they hold for."""
 
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
 Row = Mapping[str, Any]
 """A row of an answer: its values by the names of the columns."""
 ROOM = 40
-"""Columns that lines of words keep for the words, whatever names stand before them."""
+"""Columns that a line of a name and words keeps for the words, however long the name is."""
 
 
 class Screen:
-    """What an answer may know of the call that it answers.
+    """The display context of a call: its ledger, switches and terminal.
 
     Args:
         ledger: The ledger, if the call is about one.
-        switches: The switches that were given and that its verb declares beside its parameters.
-        columns: The width of the terminal; None: the output is none.
-        is_wide: Whether tables are whole, also on a terminal.
-        limit: The most rows of an answer that can be long; 0: all.
+        switches: The given switches, of those that its verb declares beside its parameters.
+        columns: The width of the terminal; None: the output is not a terminal.
+        is_wide: Whether tables keep their full width on a terminal.
+        limit: The maximum number of rows of an answer that can be long; 0: all.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Screen:
     @property
     def path(self) -> Path:
         """The folder of the ledger."""
-        assert self._ledger is not None  # only answers about a ledger ask
+        assert self._ledger is not None  # only answers about a ledger use it
         return self._ledger.path
 
     @property
@@ -71,50 +71,50 @@ class Screen:
         return self.width is not None
 
     def table(self, rows: Sequence[Row], columns: Sequence[str] | None = None) -> SafeText:
-        """Return the rows as a table; None: with the columns of the first."""
+        """Return the rows as a table, by default with the columns of the first row."""
         from .tables import fitted
 
         return fitted(rows, list(rows[0]) if columns is None else columns, self.width)
 
     def numbers(self) -> Mapping[str, int]:
-        """Return the number of each run that has one, by its name."""
+        """Return the number of each numbered run by name."""
         if self._numbers is None:
             self._numbers = {} if self._ledger is None else self._ledger.numbers()
         return self._numbers
 
     def _number(self, run: str) -> int | None:
-        if run not in self.numbers():  # it may have come since they were read
+        if run not in self.numbers():  # it may have been added since they were read
             self._numbers = None
         return self.numbers().get(run)
 
     def run_text(self, run: str) -> str:
-        """Return the words that name a run: `run 12, NAME`; `run NAME` where it has no number."""
+        """Return the text that names a run: `run 12, NAME`, or `run NAME` if it has no number."""
         number = self._number(run)
         return f"run {printable.value(run)}" if number is None else f"run {number}, {printable.value(run)}"
 
     def run_word(self, run: str) -> str:
-        """Return what names the run in a command that people may copy: its number, where it has one."""
+        """Return the run's number, or its name if it has none, as a word of a command to copy."""
         number = self._number(run)
         return printable.word(run if number is None else number)
 
     def event_word(self, run: str, seq: int) -> str:
-        """Return what names an event in such a command, RUN:SEQ."""
+        """Return an event's RUN:SEQ as a word of a command to copy."""
         number = self._number(run)
         return printable.word(f"{run if number is None else number}:{seq}")
 
     def width_of_names(self, longest: int, beside: int) -> int:
-        """Return the width of the column of names before words, in a line with so many columns beside both.
+        """Return the width of the name column in a line of a name, words and `beside` other columns.
 
-        It is that of the longest name, but on a terminal no more than leaves room for the words; longer names shift
-        theirs.
+        It is that of the longest name, but on a terminal it leaves `ROOM` for the words; longer names shift their
+        words.
         """
         return longest if self._columns is None else max(0, min(longest, self._columns - beside - ROOM))
 
 
 class Answer:
-    """What the answer of a verb has besides its fields, a struct's.
+    """The base class of the answers of verbs, most of which are structs.
 
-    One of these is `provenance`, or `provenances` if the answer is about several ledgers.
+    One field is `provenance`, or `provenances` if the answer is about several ledgers.
     """
 
     __slots__ = ()
@@ -127,11 +127,11 @@ class Answer:
 
     @property
     def failure(self) -> FsarLedgerError | None:
-        """The error with which the command ends, in place of a text; as JSON the document is shown first."""
+        """The error that ends the command in place of text; with JSON, the document is printed first."""
         return None
 
-    def document(self, screen: Screen) -> Mapping[str, object]:  # noqa: ARG002 - others name the ledger
-        """Return what JSON says beside the provenance: all other fields, in their order."""
+    def document(self, screen: Screen) -> Mapping[str, object]:  # noqa: ARG002 - subclasses name the ledger
+        """Return the JSON document without the provenance: all other fields, in order."""
         return {name: getattr(self, name) for name in self.__struct_fields__ if name not in _STANDING}
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
@@ -139,48 +139,48 @@ class Answer:
         raise NotImplementedError
 
     def table(self) -> "Table":
-        """Return the rows, of an answer that has them. Raises: UsageError of another one."""
+        """Return the rows. Raises: UsageError if the answer has none."""
         raise UsageError(f"table: found {type(self).__name__}, which has no rows of one kind, expected its fields")
 
     def rows_alone(self) -> "Rows":
-        """Return the rows as CSV has them."""
+        """Return the rows for CSV."""
         return self.table()
 
     def beside_rows(self) -> list[str]:
-        """Return the lines that are told on stderr where only rows can be shown."""
+        """Return the lines to print on stderr where the output holds only rows."""
         return []
 
     def draw(self, file: "Place", kind: Any = None) -> None:
-        """Draw an answer that can be drawn; `kind` is the format, where the suffix does not decide it."""
+        """Draw the answer as a figure; `kind` is the format, by default that of the suffix."""
         raise NotImplementedError
 
 
 def figure_place(file: "Place", kind: str | None) -> tuple[Path, str]:
-    """Return where a figure goes and its format, svg or pdf: this kind, else that of the suffix.
+    """Return the path of a figure and its format, svg or pdf: `kind`, by default that of the suffix.
 
     Raises:
         UsageError: Neither gives a format, or the file lies inside a ledger.
     """
     from fsar_ledger.ledger.store.paths import require_outside
 
-    place = Path(file)
-    form = place.suffix[1:] if kind is None else kind
+    path = Path(file)
+    form = path.suffix[1:] if kind is None else kind
     if form not in ("svg", "pdf"):
-        raise UsageError(f"{place}: expected a name that ends in .svg or .pdf")
-    require_outside(place, str(place))
-    return place, form
+        raise UsageError(f"{path}: expected a name that ends in .svg or .pdf")
+    require_outside(path, str(path))
+    return path, form
 
 
 class Lines(Answer):
-    """An answer in a few lines, which JSON has by these names; `head` is that of a ledger that was written."""
+    """An answer of a few lines of text, with a JSON document; its `head` is that of the ledger written."""
 
     def __init__(self, *lines: str, **document: object) -> None:
         self._lines, self._document = lines, document
         self.provenances: tuple[Provenance, ...] = ()
-        """What it holds for."""
+        """The heads it holds for."""
 
     def document(self, _: Screen) -> Mapping[str, object]:
-        """Return what JSON says."""
+        """Return the JSON document."""
         return self._document
 
     def text(self, _: Screen) -> Iterator[SafeText]:
@@ -189,7 +189,7 @@ class Lines(Answer):
 
 
 class Plain(Answer):
-    """An answer that is text as it is, such as a note or SQL; `refusal` is said where another form is asked for."""
+    """An answer of plain text, such as a note or SQL; `refusal` is the error if another format is requested."""
 
     def __init__(self, text: str, refusal: str = "") -> None:
         self._text, self._refusal = text, refusal
@@ -208,7 +208,7 @@ class Plain(Answer):
 
 
 def head_json(head: "Head") -> dict[str, object]:
-    """Return what JSON says of a head."""
+    """Return the JSON document of a head."""
     return {"size": head.size, "root": head.root}
 
 
@@ -216,7 +216,7 @@ _STANDING = ("provenance", "provenances")
 
 
 def provenances(answer: Any) -> "tuple[Provenance, ...]":
-    """Return what an answer holds for, a provenance for each ledger; empty where it rests on none."""
-    one = getattr(answer, "provenance", None)
-    found: tuple[Provenance, ...] = getattr(answer, "provenances", () if one is None else (one,))
-    return found
+    """Return the provenances of an answer, one for each ledger; empty if it rests on none."""
+    provenance = getattr(answer, "provenance", None)
+    result: tuple[Provenance, ...] = getattr(answer, "provenances", () if provenance is None else (provenance,))
+    return result

@@ -26,8 +26,8 @@ _ARCHITECTURES = "SELECT DISTINCT architecture FROM runs WHERE architecture IS N
 class Audit(Answer, msgspec.Struct, frozen=True):
     """The findings of `audit`: a row for each invariant, architecture and configuration.
 
-    `holds` is True if cases show that every invariant holds on all runs, False if an event offends one, and None if
-    neither can be told. `runs_unreadable` counts runs whose parameters cannot be read; their recovery budgets are not
+    `holds` is True if cases show that every invariant holds on all runs, False if an event violates one, and None if
+    neither is known. `runs_unreadable` counts runs whose parameters cannot be read; their recovery budgets are not
     judged.
     """
 
@@ -59,7 +59,7 @@ class Audit(Answer, msgspec.Struct, frozen=True):
         }
 
     def text(self, screen: Screen) -> Iterator[printable.SafeText]:
-        """Yield the verdicts, how many invariants hold, and what next."""
+        """Yield the verdicts, how many invariants hold, and the commands to run next."""
         if screen.is_fitted:
             yield from _on_a_terminal(self.rows, screen)
         else:
@@ -106,14 +106,14 @@ def audit(
     view = open_for_answers(ledger.path)
     queries = chosen(names_of(invariant) or ())
     with connect_view(view, demanded=ledger.demanded) as database:
-        there = [str(row["architecture"]) for row in database.rows(_ARCHITECTURES)]
-        unreadable = sum(one.runs for one in models(database) if one.parameters is None)
+        recorded = [str(row["architecture"]) for row in database.rows(_ARCHITECTURES)]
+        unreadable = sum(model.runs for model in models(database) if model.parameters is None)
         provenance = of_audit(database)
-        wanted = known("architecture", names_of(architecture), tuple(dict.fromkeys([*ARCHITECTURES, *there])))
+        architectures = known("architecture", names_of(architecture), tuple(dict.fromkeys([*ARCHITECTURES, *recorded])))
         slices = database.slices
-        rows = [] if slices is not None else audit_rows(database, queries, wanted, progress)
-    if slices is not None:  # after the first database is closed, whose memory the slices can use
-        rows = audit_rows(slices, queries, wanted, progress)
+        rows = [] if slices is not None else audit_rows(database, queries, architectures, progress)
+    if slices is not None:  # after closing the first database, so that the slices can use its memory
+        rows = audit_rows(slices, queries, architectures, progress)
     holds = False if any(row.holds is False for row in rows) else all_shown(rows) or None
     return Audit(rows, holds, unreadable, provenance)
 
@@ -133,7 +133,7 @@ def _shown(row: "AuditRow") -> Row:
 
 
 def _on_a_terminal(rows: "Sequence[AuditRow]", screen: Screen) -> Iterator[printable.SafeText]:
-    """Yield the verdicts as a table, and under it what the first offending events are, as `prove` names them."""
+    """Yield the verdicts as a table, and below it the first offending events, as `prove` takes them."""
     numbers = screen.numbers()
     verdicts, first = [], []
     for row in rows:
@@ -145,8 +145,8 @@ def _on_a_terminal(rows: "Sequence[AuditRow]", screen: Screen) -> Iterator[print
             first.append({"invariant": _short([row.invariant]), **verdict, "event": event, "found": row.first_found})
     yield screen.table(verdicts)
     if first:
-        proven = f"`fsar-ledger prove {printable.word(screen.path)} RUN:SEQ`"
-        yield printable.lines("", f"the first offending events, as {proven} takes them", "")
+        command = f"`fsar-ledger prove {printable.word(screen.path)} RUN:SEQ`"
+        yield printable.lines("", f"the first offending events, as {command} takes them", "")
         yield screen.table(first)
 
 
@@ -161,18 +161,18 @@ def _word(row: "AuditRow") -> str:
 
 
 def _footer(rows: "Sequence[AuditRow]", ledger: Path) -> Iterator[str]:
-    """Yield how many invariants hold, for each architecture (and configuration) if there are several, and what next."""
+    """Yield how many invariants hold, for each architecture (and configuration) if several, and the next commands."""
     configurations = {row.configuration for row in rows}
-    judged: dict[str, list[AuditRow]] = {}
+    groups: dict[str, list[AuditRow]] = {}
     for row in rows:
         name = [row.architecture, row.configuration] if len(configurations) > 1 else [row.architecture]
-        judged.setdefault(" ".join(filter(None, name)) or "runs of no architecture", []).append(row)
-    for named, of_it in judged.items():
-        yield from (f"{named}: {line}" if len(judged) > 1 else line for line in _verdict(of_it))
+        groups.setdefault(" ".join(filter(None, name)) or "runs of no architecture", []).append(row)
+    for label, group in groups.items():
+        yield from (f"{label}: {line}" if len(groups) > 1 else line for line in _verdict(group))
     if any(row.invariant.startswith("i5") and row.runs_not_observed for row in rows):
-        place = printable.word(ledger)
-        yield f"`fsar-ledger query attributability_by_field {place}` tells requester, executor and supervisor apart"
-        yield f"`fsar-ledger query record_gaps {place}` tells what the record would need for each invariant"
+        folder = printable.word(ledger)
+        yield f"`fsar-ledger query attributability_by_field {folder}` tells requester, executor and supervisor apart"
+        yield f"`fsar-ledger query record_gaps {folder}` tells what the record would need for each invariant"
     if broken := [row.invariant for row in rows if row.holds is False]:
         yield (
             f"`fsar-ledger query {broken[0]} {printable.word(ledger)}` lists every offending event of the first that "
@@ -184,8 +184,12 @@ def _verdict(rows: "Sequence[AuditRow]") -> Iterator[str]:
     """Yield how many invariants hold under one architecture, and which ones had no case or are not observable."""
     unseen = [row.invariant for row in rows if row.holds is None and not row.is_empty]
     empty = [row.invariant for row in rows if row.is_empty]
-    held = sum(row.holds is True for row in rows)
-    yield f"{held} of {len(rows)} hold, {len(empty)} had no case" if empty else f"{held} of {len(rows)} invariants hold"
+    passed = sum(row.holds is True for row in rows)
+    yield (
+        f"{passed} of {len(rows)} hold, {len(empty)} had no case"
+        if empty
+        else f"{passed} of {len(rows)} invariants hold"
+    )
     if unseen:
         yield (
             f"{len(unseen)} cannot be told, because runs do not observe what they rest on: {_short(unseen)}; that "

@@ -44,11 +44,11 @@ World = tuple[object, object, object]
 class BisectResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
     """The pairs of two sides that met the same seed, scenario and number, by whether they have the outcome.
 
-    `undefined` pairs more have a run in which there is no value to compare, or the fork of a live run that ends before
-    all has happened; they neither agree nor disagree. `repeated` pairs more cannot be told from others, as in
-    `compare`; `first_alone` and `second_alone` count the runs that are in no pair at all. `diff` are the differences of
-    the first pair that disagrees, in the order of the ledger; None: none does. `refused`: in how many pairs a change is
-    refused, and why.
+    `undefined` counts further pairs with a run that has no value to compare, or with the fork of a live run that ends
+    before everything has happened; they neither agree nor disagree. `repeated` counts further pairs that cannot be told
+    from others, as in `compare`; `first_alone` and `second_alone` count the runs in no pair. `diff` has the differences
+    of the first pair that disagrees, in the order of the ledger; None: none does. `refused`: in how many pairs a change
+    is refused, and why.
     """
 
     outcome: str
@@ -72,7 +72,7 @@ class BisectResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
         return {**Answer.document(self, screen), "diff": None if self.diff is None else self.diff.document(screen)}
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
-        """Yield the counts, and how the first pair that disagrees parts."""
+        """Yield the counts, and how the first pair that disagrees diverges."""
         head = [
             f"outcome: {self.outcome}",
             f"first: {self.first}",
@@ -90,8 +90,8 @@ class BisectResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
         if self.diff is None:
             yield printable.lines(*head, "no pair disagrees")
             return
-        found = f"the first pair that disagrees: {screen.run_text(self.diff.first)}"
-        yield printable.lines(*head, "", found, f"and {printable.value(self.diff.second)}", "")
+        pair = f"the first pair that disagrees: {screen.run_text(self.diff.first)}"
+        yield printable.lines(*head, "", pair, f"and {printable.value(self.diff.second)}", "")
         yield from diff_text(self.diff, ("first", "second"), screen)
 
 
@@ -148,29 +148,31 @@ def _sides(ledgers: "Sequence[Ledger]", names: tuple[str | None, str | None], ou
 
     from .diff import difference_of
 
-    asked = outcome_of(outcome)
+    condition = outcome_of(outcome)
     with ExitStack() as stack:
-        held = [stack.enter_context(ledger.database()) for ledger in ledgers]
-        both = chosen([sides(database) for database in held], names, [str(one.path) for one in ledgers])
-        firsts, seconds = _runs(held[0], both[0]), _runs(held[-1], both[1])
-        having = [_having(ledger, database, asked) for ledger, database in zip(ledgers, held, strict=True)]
-        provenances = tuple(map(of_outcomes, held))
+        databases = [stack.enter_context(ledger.database()) for ledger in ledgers]
+        both = chosen([sides(database) for database in databases], names, [str(ledger.path) for ledger in ledgers])
+        firsts, seconds = _runs(databases[0], both[0]), _runs(databases[-1], both[1])
+        has_outcome = [
+            _having(ledger, database, condition) for ledger, database in zip(ledgers, databases, strict=True)
+        ]
+        provenances = tuple(map(of_outcomes, databases))
     alone = [
-        side.run_count - sum(len(runs) for world, runs in found.items() if world in others)
-        for side, found, others in zip(both, (firsts, seconds), (seconds, firsts), strict=True)
+        side.run_count - sum(len(runs) for world, runs in worlds.items() if world in others)
+        for side, worlds, others in zip(both, (firsts, seconds), (seconds, firsts), strict=True)
     ]
-    met = [(runs, seconds[world]) for world, runs in firsts.items() if world in seconds]
-    pairs = [(*runs, *others) for runs, others in met if len(runs) == len(others) == 1]
-    repeated = sum(len(runs) * len(others) for runs, others in met) - len(pairs)
+    matched = [(runs, seconds[world]) for world, runs in firsts.items() if world in seconds]
+    pairs = [(*runs, *others) for runs, others in matched if len(runs) == len(others) == 1]
+    repeated = sum(len(runs) * len(others) for runs, others in matched) - len(pairs)
     if not pairs:
         raise _unpaired(both, repeated)
-    has = [(having[0](first), having[-1](second)) for first, second in pairs]
-    at = next((at for at, found in enumerate(has) if disagree(*found)), None)
+    outcomes = [(has_outcome[0](first), has_outcome[-1](second)) for first, second in pairs]
+    index = next((index for index, pair in enumerate(outcomes) if disagree(*pair)), None)
     diff = None
-    if at is not None:
-        one, other = pairs[at]
-        diff = difference_of(ledgers[0].record(one), ledgers[-1].record(other), provenances)
-    return _bisected(asked, (str(both[0]), str(both[1])), has, diff, provenances, repeated, alone)
+    if index is not None:
+        first_run, second_run = pairs[index]
+        diff = difference_of(ledgers[0].record(first_run), ledgers[-1].record(second_run), provenances)
+    return _bisected(condition, (str(both[0]), str(both[1])), outcomes, diff, provenances, repeated, alone)
 
 
 def _unpaired(both: "tuple[Side, Side]", repeated: int) -> UsageError:
@@ -205,37 +207,39 @@ def _changes(
     view = open_for_answers(ledger.path)
     with connect_view(view, demanded=ledger.demanded) as database:
         provenance = of_outcomes(database)
-    asked = outcome_of(outcome)
+    condition = outcome_of(outcome)
     runs, parsed = runs_of(view, architectures, ("simulated", "live")), changes_of(changes)
-    has: list[tuple[bool | None, bool | None]] = []
+    outcomes: list[tuple[bool | None, bool | None]] = []
     diff: Diff | None = None
     differs = False
     refused: list[tuple[str, str]] = []
     pairs = fork_pairs(view, runs, parsed)
     while batch := list(islice(pairs, PAIRS_AT_ONCE)):
-        both = [
-            (one.times_us, one.caused_by, one.events) for pair in batch for one in (pair.base.record, pair.fork.record)
+        records = [
+            (record.times_us, record.caused_by, record.events)
+            for pair in batch
+            for record in (pair.base.record, pair.fork.record)
         ]
-        held = asked.of(both)
+        values = condition.of(records)
         refused += ((pair.base.record.run_id, pair.refused.why) for pair in batch if pair.refused is not None)
-        for pair, first, known in zip(batch, held[::2], held[1::2], strict=True):
-            second = known if pair.fork.end is None else None  # nobody knows how such a fork would go on
+        for pair, first, value in zip(batch, values[::2], values[1::2], strict=True):
+            second = value if pair.fork.end is None else None  # how such a fork would continue is unknown
             differs |= pair.fork.parts_at is not None or pair.fork.end is not None
-            has.append((first, second))
+            outcomes.append((first, second))
             if disagree(first, second) and diff is None:
                 diff = difference_of(pair.base.record, pair.fork.record, (provenance,))
-    if len(refused) == len(has):
+    if len(refused) == len(outcomes):
         raise refused_in_all(refused)
     if not differs:
         raise without_effect(view, runs, parsed)
-    found = refused_in(why for _, why in refused)
-    return _bisected(asked, ("as recorded", "changed"), has, diff, (provenance,), refused=found)
+    reasons = refused_in(why for _, why in refused)
+    return _bisected(condition, ("as recorded", "changed"), outcomes, diff, (provenance,), refused=reasons)
 
 
 def _bisected(
-    asked: "Outcome",
+    condition: "Outcome",
     names: tuple[str, str],
-    has: list[tuple[bool | None, bool | None]],
+    outcomes: list[tuple[bool | None, bool | None]],
     diff: Diff | None,
     provenances: "tuple[Provenance, ...]",
     repeated: int = 0,
@@ -243,15 +247,15 @@ def _bisected(
     refused: "Sequence[RefusedChange]" = (),
 ) -> BisectResult:
     return BisectResult(
-        outcome=asked.text,
+        outcome=condition.text,
         first=names[0],
         second=names[1],
-        pairs=sum(None not in found for found in has),
-        both=has.count((True, True)),
-        neither=has.count((False, False)),
-        first_only=has.count((True, False)),
-        second_only=has.count((False, True)),
-        undefined=sum(None in found for found in has),
+        pairs=sum(None not in pair for pair in outcomes),
+        both=outcomes.count((True, True)),
+        neither=outcomes.count((False, False)),
+        first_only=outcomes.count((True, False)),
+        second_only=outcomes.count((False, True)),
+        undefined=sum(None in pair for pair in outcomes),
         repeated=repeated,
         first_alone=alone[0],
         second_alone=alone[1],
@@ -263,22 +267,22 @@ def _bisected(
 
 def _runs(database: "Database", side: "Side") -> dict[World, list[str]]:
     """Return the runs of a side that can be paired, by seed, scenario and number, in the order of the ledger."""
-    found: dict[World, list[str]] = {}
+    runs: dict[World, list[str]] = {}
     for row in database.rows(PAIRS, {"side": side.side}):
-        found.setdefault((row["seed"], row["scenario"], row["run"]), []).append(row["run_id"])
-    return found
+        runs.setdefault((row["seed"], row["scenario"], row["run"]), []).append(row["run_id"])
+    return runs
 
 
 def disagree(first: bool | None, second: bool | None) -> bool:
-    """Tell whether one has the outcome and the other lacks it; without a value, a run does neither."""
+    """Return whether one has the outcome and the other lacks it; a run without a value does neither."""
     return {first, second} == {True, False}
 
 
 def _having(ledger: "Ledger", database: "Database", outcome: "Outcome") -> Callable[[object], bool | None]:
-    """Return what tells of a run of the ledger whether it has the outcome, None if undefined. Raises: QueryFailed."""
+    """Return a function that returns whether a run has the outcome, None if undefined. Raises: QueryFailed."""
     from fsar_ledger.analysis.causes import runs_named
 
     valued = {row["run_id"] for row in database.rows(outcome.defined)} if outcome.defined else None
-    found = ledger.sql(outcome.sql).arrow() if outcome.is_own else database.table(outcome.sql)
-    held = runs_named(found, {row["run_id"] for row in database.rows("SELECT run_id FROM runs")})
-    return lambda run: None if valued is not None and run not in valued else run in held
+    rows = ledger.sql(outcome.sql).arrow() if outcome.is_own else database.table(outcome.sql)
+    having = runs_named(rows, {row["run_id"] for row in database.rows("SELECT run_id FROM runs")})
+    return lambda run: None if valued is not None and run not in valued else run in having

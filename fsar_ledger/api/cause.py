@@ -27,14 +27,14 @@ BAR = 40
 
 
 class CauseResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
-    """A smallest cause of an outcome of a run, and how its chances went.
+    """A smallest cause of an outcome of a run, and the chances to avoid it.
 
-    `elements` are facts of the world and answers at ports that suffice for the outcome together, of `candidates`; it
-    falls without any one of them. `presupposed`: what else the set needs for the outcome to have a value at all, and
-    no cause of it. `also_necessary`: others without any one of which it falls in the whole run.
-    `chances`: by moment, in how many futures from then on the outcome is avoided; none if no futures were asked for.
+    `elements` are the facts of the world and answers at ports, of `candidates`, that suffice together for the outcome;
+    without any one of them it does not occur. `presupposed`: what else the set needs for the outcome to have a value,
+    but not a cause of it. `also_necessary`: others without any one of which it does not occur in the whole run.
+    `chances`: by moment, in how many futures from then on the outcome is avoided; empty if no futures were requested.
     `last_open_s`: the last moment found from which some future avoids it; `closing_seq`: the event from which on none
-    does. `forks`: runs that were played for this.
+    does. `forks`: the number of runs simulated for this.
     """
 
     run: str
@@ -77,7 +77,9 @@ class CauseResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
                 + ("suffices; without it" if len(self.elements) == 1 else "suffice together; without any one of them")
                 + " there is no such outcome"
             )
-            tail.append(f"{_named(one for one in self.elements if one.is_necessary)} necessary in the whole run, too")
+            tail.append(
+                f"{_named(item for item in self.elements if item.is_necessary)} necessary in the whole run, too"
+            )
             if self.presupposed:
                 without = "it" if len(self.presupposed) == 1 else "any one of them"
                 tail.append(f"{_named(self.presupposed)} presupposed: without {without}, there is no value to compare")
@@ -104,12 +106,12 @@ class CauseResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
             tail.append(f"`{call} --change {printable.word(self.elements[0].change)}` shows the run without the first")
         rows = [
             {
-                "seq": one.seq,
-                "begins_s": None if one.begins_s is None else f"{one.begins_s:.3f}",
-                "cause" if self.elements else "unknown" if self.unknown else "presupposed": one.name,
-                "words": one.words,
+                "seq": element.seq,
+                "begins_s": None if element.begins_s is None else f"{element.begins_s:.3f}",
+                "cause" if self.elements else "unknown" if self.unknown else "presupposed": element.name,
+                "words": element.words,
             }
-            for one in self.elements or self.unknown or self.presupposed
+            for element in self.elements or self.unknown or self.presupposed
         ]
         yield printable.lines(*head, "")
         yield screen.table(rows)
@@ -166,7 +168,7 @@ def cause(
     record = recorded(ledger, view, run)
     if futures is not None and not 0 <= futures <= MOST_FUTURES:
         raise UsageError(f"{option('futures', futures)}: expected 0 (no curve) to {MOST_FUTURES:,}")
-    asked = outcome_of(outcome)
+    condition = outcome_of(outcome)
     base = rerun(base_of_record(record, view.head.root))
     is_live = base.base.recipe.live is not None
     if is_live and futures:
@@ -178,20 +180,21 @@ def cause(
         if not is_live:
             raise UsageError(f"{option('answers', answers)}: found a simulated run, whose world answers everything")
         base = base.with_answers(changes_of(answers_of(answers)))
-    played = None if progress is None else lambda done: progress(done, done)
-    found = causes.cause(base, asked, lengths=lengths, progress=played)
-    drawn = (0 if is_live else FUTURES) if futures is None else futures
-    chances = None if not drawn else curve(base, asked, drawn, MOMENTS, progress)
+    report = None if progress is None else lambda done: progress(done, done)
+    result = causes.cause(base, condition, lengths=lengths, progress=report)
+    futures_drawn = (0 if is_live else FUTURES) if futures is None else futures
+    chances = None if not futures_drawn else curve(base, condition, futures_drawn, MOMENTS, progress)
     closing = None if chances is None else chances.closing_seq
     return CauseResult(
         run=record.run_id,
-        outcome=found.outcome,
-        elements=found.elements,
-        presupposed=found.presupposed,
-        unknown=found.unknown,
-        also_necessary=found.also_necessary,
-        candidates=found.candidates,
-        forks=found.forks + (0 if chances is None else sum(one.futures + one.undefined for one in chances.chances)),
+        outcome=result.outcome,
+        elements=result.elements,
+        presupposed=result.presupposed,
+        unknown=result.unknown,
+        also_necessary=result.also_necessary,
+        candidates=result.candidates,
+        forks=result.forks
+        + (0 if chances is None else sum(chance.futures + chance.undefined for chance in chances.chances)),
         chances=() if chances is None else chances.chances,
         last_open_s=None if chances is None else chances.last_open_s,
         closing_seq=closing,
@@ -201,39 +204,39 @@ def cause(
 
 
 def _named(elements: "Iterable[Element]") -> str:
-    names = [printable.value(one.name) for one in elements]
+    names = [printable.value(element.name) for element in elements]
     return f"{printable.some(names)} {'is' if len(names) == 1 else 'are'}" if names else "none of them is"
 
 
 def _listed(elements: "Sequence[Element]") -> str:
-    return printable.some([printable.value(one.name) for one in elements])
+    return printable.some([printable.value(element.name) for element in elements])
 
 
-def _curve(found: CauseResult) -> Iterator[str]:
-    drawn = max(one.futures + one.undefined for one in found.chances)
-    left_out = any(one.undefined for one in found.chances)
+def _curve(result: CauseResult) -> Iterator[str]:
+    drawn = max(chance.futures + chance.undefined for chance in result.chances)
+    left_out = any(chance.undefined for chance in result.chances)
     without = "; those in which it has no value are left out" if left_out else ""
     yield f"futures that avoid it, of {drawn:,} drawn from each moment on{without}"
-    closed = [one for one in found.chances if found.last_open_s is None or one.at_s > found.last_open_s]
-    for one in found.chances:
-        if one not in closed[1:-1]:
-            yield _bar(one)
-        elif one is closed[1]:
+    closed = [chance for chance in result.chances if result.last_open_s is None or chance.at_s > result.last_open_s]
+    for chance in result.chances:
+        if chance not in closed[1:-1]:
+            yield _bar(chance)
+        elif chance is closed[1]:
             yield f"{'...':>10}"
 
 
-def _closing(found: CauseResult) -> str:
-    if found.closing_seq is None:
+def _closing(result: CauseResult) -> str:
+    if result.closing_seq is None:
         return "some futures avoid it to the end"
-    if found.last_open_s is None:
+    if result.last_open_s is None:
         return "no future avoids it, from the beginning on"
     return (
-        f"point of no return: event {found.closing_seq}, at {found.closing_s:.3f} s; before it, at "
-        f"{found.last_open_s:.3f} s, some futures still avoid it"
+        f"point of no return: event {result.closing_seq}, at {result.closing_s:.3f} s; before it, at "
+        f"{result.last_open_s:.3f} s, some futures still avoid it"
     )
 
 
-def _bar(one: "Chance") -> str:
-    if one.share is None:
-        return f"{one.at_s:>10.3f} s     -"
-    return f"{one.at_s:>10.3f} s  {one.share:>4.0%}  {'#' * round(one.share * BAR)}".rstrip()
+def _bar(chance: "Chance") -> str:
+    if chance.share is None:
+        return f"{chance.at_s:>10.3f} s     -"
+    return f"{chance.at_s:>10.3f} s  {chance.share:>4.0%}  {'#' * round(chance.share * BAR)}".rstrip()

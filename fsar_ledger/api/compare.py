@@ -38,19 +38,19 @@ class Comparison(Answer, Paired, frozen=True, kw_only=True):
 
     @property
     def exit_code(self) -> int:
-        """1 where pairs are left out that no experiment makes different on purpose."""
-        return int(any(one.differs in FAULTS for one in self.left_out))
+        """1 if pairs are left out for a difference that no experiment makes on purpose."""
+        return int(any(group.differs in FAULTS for group in self.left_out))
 
     def document(self, _: Screen) -> Mapping[str, object]:
         """Return both sides, how their runs pair, and the rows."""
         first, second = ({"name": side.name, **structs.asdict(side)} for side in self.sides)
         further = [
             {
-                "head": one.head and {"size": one.head.size, "root": one.head.root},
-                "rows_verified": one.rows_verified,
-                **one.answer(),
+                "head": provenance.head and {"size": provenance.head.size, "root": provenance.head.root},
+                "rows_verified": provenance.rows_verified,
+                **provenance.answer(),
             }
-            for one in self.provenances[1:]
+            for provenance in self.provenances[1:]
         ]
         return {
             "other": further[0] if further else None,
@@ -68,7 +68,7 @@ class Comparison(Answer, Paired, frozen=True, kw_only=True):
         return Table(of_structs(self.rows, SideRow), self.provenances[0])
 
     def rows_alone(self) -> "Table":
-        """Return the rows, with scenarios only where they tell rows apart."""
+        """Return the rows, with scenarios only if they distinguish rows."""
         from .table import Table
 
         whole = self.table()
@@ -123,28 +123,28 @@ def compare(
 
     from .lookup import ledgers_of
 
-    divides, pooled = by_scenario(by), pools_seeds(pool)
+    per_scenario, pooled = by_scenario(by), pools_seeds(pool)
     ledgers = ledgers_of(ledger, other)
-    places = [str(one.path) for one in ledgers]
+    paths = [str(ledger.path) for ledger in ledgers]
     with ExitStack() as stack:
-        held = [stack.enter_context(one.database()) for one in ledgers]
-        both = chosen([sides(database) for database in held], (first, second), places)
-        if len(held) > 1 and both[0].side == both[1].side and held[0].head == held[1].head:
+        databases = [stack.enter_context(ledger.database()) for ledger in ledgers]
+        both = chosen([sides(database) for database in databases], (first, second), paths)
+        if len(databases) > 1 and both[0].side == both[1].side and databases[0].head == databases[1].head:
             raise UsageError(
-                f"{' and '.join(places)}: found the same events in both, and {both[0]} as both sides, expected two "
+                f"{' and '.join(paths)}: found the same events in both, and {both[0]} as both sides, expected two "
                 "that differ"
             )
-        found = paired(held, both, pools_seeds=pooled, by_scenario=divides)
-        judged = tuple(map(of_outcomes, held))
-        return Comparison(**structs.asdict(found), sides=both, provenances=judged)
+        comparison = paired(databases, both, pools_seeds=pooled, by_scenario=per_scenario)
+        provenances = tuple(map(of_outcomes, databases))
+        return Comparison(**structs.asdict(comparison), sides=both, provenances=provenances)
 
 
-def _pairing(both: tuple[Side, Side], found: Paired) -> list[str]:
+def _pairing(both: tuple[Side, Side], result: Paired) -> list[str]:
     """Return lines on what is compared, what the pairs share, and which constants differ."""
     first, second = both
     lines = [f"first: {_described(first)}", f"second: {_described(second)}"]
-    if not found.pairs:
-        left = " that is not left out" if found.left_out else ""
+    if not result.pairs:
+        left = " that is not left out" if result.left_out else ""
         lines.append(
             f"nothing to compare: no run of both has the same seed, scenario and number{left}; "
             + (
@@ -156,31 +156,31 @@ def _pairing(both: tuple[Side, Side], found: Paired) -> list[str]:
         )
         lines += [f"found {side.held()}" for side in both]
     else:
-        lines.append(f"{counted(found.pairs, 'pair')} by seed, scenario and number: {_shared(both, found)}")
+        lines.append(f"{counted(result.pairs, 'pair')} by seed, scenario and number: {_shared(both, result)}")
         if first.fleet_size != second.fleet_size:
             lines.append(
                 f"the fleets differ in size ({first.fleet_size} and {second.fleet_size} robots): the robots that both "
                 "have meet what is drawn for them"
             )
-    lines += [f"left out: {_left_out(one)}" for one in found.left_out]
-    differing = [f"{one.name}={one.first_value} and {one.second_value}" for one in found.constants]
-    unread = [one for one in both if one.parameter_set is None]
-    said = (
+    lines += [f"left out: {_left_out(group)}" for group in result.left_out]
+    differing = [f"{constant.name}={constant.first_value} and {constant.second_value}" for constant in result.constants]
+    unread = [side for side in both if side.parameter_set is None]
+    constants = (
         f"constants that differ, first and second: {printable.some(differing)}"
         if differing
         else "no constants are on record"
         if len(unread) == len(both)
         else f"the constants are the same{' as far as they are on record' if unread else ''}"
     )
-    return [*lines, said]
+    return [*lines, constants]
 
 
 def _described(side: Side) -> str:
-    named = (side.kind, side.source, side.model_version and f"model {side.model_version}")
-    return f"{side}, {', '.join(printable.value(one) for one in named if one)}"
+    parts = (side.kind, side.source, side.model_version and f"model {side.model_version}")
+    return f"{side}, {', '.join(printable.value(part) for part in parts if part)}"
 
 
-def _shared(both: tuple[Side, Side], found: Paired) -> str:
+def _shared(both: tuple[Side, Side], result: Paired) -> str:
     """Return how many pairs share their facts, only their draws, or only their seed."""
     first, second = both
     is_of_one_model = (
@@ -194,79 +194,79 @@ def _shared(both: tuple[Side, Side], found: Paired) -> str:
         else "share only seed, scenario and number, because their models differ or are not on record"
     )
     parts = {
-        "met the same facts of the world": found.same_facts,
-        "share what was drawn, but not the facts, because their constants or robots differ": found.same_draws,
-        seed_alone: found.same_seed,
+        "met the same facts of the world": result.same_facts,
+        "share what was drawn, but not the facts, because their constants or robots differ": result.same_draws,
+        seed_alone: result.same_seed,
     }
     return "; ".join(f"{count:,} {what}" for what, count in parts.items() if count)
 
 
-def _left_out(one: LeftOut) -> str:
-    place: dict[str, Any] = one.one
-    scenario, first, second = (printable.value(str(place[name])) for name in ("scenario", "first", "second"))
-    where = f"first under seed {place['seed']}, {scenario}, run {place['run']}: {first} and {second}"
-    return f"{counted(one.pairs, 'pair')} that {LEFT_OUT[one.differs]}; {where}"
+def _left_out(group: LeftOut) -> str:
+    example: dict[str, Any] = group.one
+    scenario, first, second = (printable.value(str(example[name])) for name in ("scenario", "first", "second"))
+    where = f"first under seed {example['seed']}, {scenario}, run {example['run']}: {first} and {second}"
+    return f"{counted(group.pairs, 'pair')} that {LEFT_OUT[group.differs]}; {where}"
 
 
-def _missing(both: tuple[Side, Side], found: Paired) -> list[str]:
+def _missing(both: tuple[Side, Side], result: Paired) -> list[str]:
     lines = []
-    for side, alone, which in zip(both, (found.first_alone, found.second_alone), ("first", "second"), strict=True):
+    for side, alone, name in zip(both, (result.first_alone, result.second_alone), ("first", "second"), strict=True):
         nameless = side.run_count - side.named_count
-        if found.pairs and alone:
-            lines.append(no_partner(alone, which))
-        if found.pairs and nameless:
+        if result.pairs and alone:
+            lines.append(no_partner(alone, name))
+        if result.pairs and nameless:
             lines.append(
-                f"{counted(nameless, 'run')} of the {which} side without seed, scenario, number or size "
+                f"{counted(nameless, 'run')} of the {name} side without seed, scenario, number or size "
                 f"{'is' if nameless == 1 else 'are'} in no pair"
             )
-    if found.pairs and found.absent:
+    if result.pairs and result.absent:
         lines.append(
-            f"no pair of runs in which both have a value of {', '.join(found.absent)}: undefined, or not observed"
+            f"no pair of runs in which both have a value of {', '.join(result.absent)}: undefined, or not observed"
         )
     return lines
 
 
 def no_partner(runs: int, which: str) -> str:
-    """Return a line on the runs of one side that the other has no counterpart of."""
+    """Return a line on the runs of one side that have no counterpart on the other."""
     return f"{counted(runs, 'run')} of the {which} side {'has' if runs == 1 else 'have'} no partner"
 
 
-def _how_to_read(found: Paired) -> list[str]:
+def _how_to_read(result: Paired) -> list[str]:
     """Return lines on how to read the numbers, and why some rows have none."""
     from fsar_ledger.metrics.definitions import metric_named
 
-    if not found.rows:
+    if not result.rows:
         return []
-    undefined = [row for row in found.rows if row.n and row.mean_difference is None]
-    defined = [row for row in found.rows if row.n and row.mean_difference is not None]
+    undefined = [row for row in result.rows if row.n and row.mean_difference is None]
+    defined = [row for row in result.rows if row.n and row.mean_difference is not None]
     alike = [row for row in defined if not row.differing_pairs]
     even = [row for row in defined if row.differing_pairs and row.test is None]
-    few = [row for row in found.rows if row.test == "sign" and metric_named(row.metric).scale != "yes-no"]
-    lines = ["differences are first minus second; containment and latency are ratios over all pairs" + _holm(found)]
-    if fewer := [row for row in found.rows if row.test == "paired t" and row.differing_pairs < row.n]:
+    few = [row for row in result.rows if row.test == "sign" and metric_named(row.metric).scale != "yes-no"]
+    lines = ["differences are first minus second; containment and latency are ratios over all pairs" + _holm(result)]
+    if fewer := [row for row in result.rows if row.test == "paired t" and row.differing_pairs < row.n]:
         lines.append(
             "paired t has as many degrees of freedom as pairs differ, less one; `statistics` counts every pair, so "
-            f"that its p differs: {_cells(fewer, found)}"
+            f"that its p differs: {_cells(fewer, result)}"
         )
-    if any(row.metric == "human_intervention" for row in found.rows):
+    if any(row.metric == "human_intervention" for row in result.rows):
         lines.append("human_intervention is the share of runs that called the fleet supervisor")
     if undefined:
-        lines.append(f"undefined on one side or both, so there is no difference: {_cells(undefined, found)}")
+        lines.append(f"undefined on one side or both, so there is no difference: {_cells(undefined, result)}")
     if alike:
-        lines.append(f"no pair differs, so there is no test: {_cells(alike, found)}")
+        lines.append(f"no pair differs, so there is no test: {_cells(alike, result)}")
     if even:
-        lines.append(f"neither side is higher in any pair, so there is no test: {_cells(even, found)}")
+        lines.append(f"neither side is higher in any pair, so there is no test: {_cells(even, result)}")
     if few:
-        lines.append(f"exact sign test, since few pairs differ, or all alike: {_cells(few, found)}")
+        lines.append(f"exact sign test, since few pairs differ, or all alike: {_cells(few, result)}")
     return lines
 
 
-def _holm(found: Paired) -> str:
-    """Say how many tests Holm adjusts together; nothing where there is no test."""
+def _holm(result: Paired) -> str:
+    """Describe which tests Holm adjusts together; empty if there is no test."""
     from fsar_ledger.metrics.definitions import published_metrics
 
-    tested = [row for row in found.rows if row.p is not None]
-    published = {one.name for one in published_metrics()}
+    tested = [row for row in result.rows if row.p is not None]
+    published = {metric.name for metric in published_metrics()}
     counts = sorted({row.family_tests for row in tested if row.metric in published})
     parts = [f"{counted(counts[0], 'test')} together"] if len(counts) == 1 else []
     if len(counts) > 1:
@@ -276,14 +276,14 @@ def _holm(found: Paired) -> str:
     return f"; Holm adjusts {' and '.join(parts)}" if parts else ""
 
 
-def _cells(rows: list[SideRow], found: Paired) -> str:
-    """Name the metrics of these rows, each once; with the seeds where it is not so under every one."""
+def _cells(rows: list[SideRow], result: Paired) -> str:
+    """Return the metrics of these rows, each once, with its seeds unless these are all that it has."""
     seeds_of: dict[tuple[str, str | None], list[int | None]] = {}
     for row in rows:
         seeds_of.setdefault((row.metric, row.scenario), []).append(row.seed)
     cells = []
     for (metric, scenario), seeds in seeds_of.items():
-        of_metric = {row.seed for row in found.rows if (row.metric, row.scenario) == (metric, scenario)}
+        of_metric = {row.seed for row in result.rows if (row.metric, row.scenario) == (metric, scenario)}
         only = [] if {*seeds} == of_metric else [f"seed{'' if len(seeds) == 1 else 's'} {', '.join(map(str, seeds))}"]
         within = "; ".join(([] if scenario is None else [printable.value(scenario)]) + only)
         cells.append(f"{metric} ({within})" if within else metric)

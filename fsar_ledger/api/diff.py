@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .table import Table
 
 CHAIN = 6
-"""Causes that are shown of one event; of a longer chain, the first and the last."""
+"""Causes shown of an event; of a longer chain, the first ones and the last."""
 MAX_PARAMETER = 60
 """Characters of a field of event 0; constants are long."""
 
@@ -87,7 +87,7 @@ class Diff(Answer, msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_same(self) -> bool:
-        """Return whether the two do the same; event 0 may say otherwise of what they were made from."""
+        """Return whether both runs do the same; what they were made from, in event 0, may differ."""
         return not self.differences
 
     def table(self) -> "Table":
@@ -100,9 +100,9 @@ class Diff(Answer, msgspec.Struct, frozen=True, kw_only=True):
         """Yield what the runs are, and how they diverge."""
         head = [f"first: {printable.value(self.first)}", f"second: {printable.value(self.second)}"]
         head += [
-            f"{one.field}: {_short(one.first)} and {_short(one.second)}"
-            for one in self.parameters
-            if not one.field.startswith("forked_from")
+            f"{parameter.field}: {_short(parameter.first)} and {_short(parameter.second)}"
+            for parameter in self.parameters
+            if not parameter.field.startswith("forked_from")
         ]
         yield printable.lines(*head)
         if self.is_same:
@@ -141,14 +141,14 @@ def diff(
     from .lookup import ledgers_of, present, recorded
 
     ledgers = ledgers_of(ledger, other)
-    found = [present(one) for one in ledgers]
+    present_states = [present(ledger) for ledger in ledgers]
     records = [
-        recorded(one, view, run, is_whole=True)
-        for one, (view, _), run in ((ledger, found[0], first), (ledgers[-1], found[-1], second))
+        recorded(source, view, run, is_whole=True)
+        for source, (view, _), run in ((ledger, present_states[0], first), (ledgers[-1], present_states[-1], second))
     ]
     for record in records:
         start_of(record)
-    return difference_of(records[0], records[1], tuple(provenance for _, provenance in found))
+    return difference_of(records[0], records[1], tuple(provenance for _, provenance in present_states))
 
 
 def difference_of(
@@ -156,8 +156,8 @@ def difference_of(
 ) -> Diff:
     """Return the differences of two records.
 
-    With `ends_us` the second ends then, before all has happened: nothing later of the first is compared, and of what
-    the second came to no more is told than had come about.
+    With `ends_us` the second ends then, before everything has happened: nothing later of the first is compared, and
+    outcomes of the second are reported only as far as they had occurred.
 
     Raises: as `Database.rows`.
     """
@@ -168,44 +168,50 @@ def difference_of(
     from fsar_ledger.runtime.forks import until
 
     whole, first = first, first if ends_us is None else until(first, ends_us)
-    found = align(first, second)
-    differing = [one for one in found.differences if (one.first_seq, one.second_seq) != (0, 0)]
-    kinds = Counter(one.kind for one in differing)
+    alignment = align(first, second)
+    differing = [
+        difference for difference in alignment.differences if (difference.first_seq, difference.second_seq) != (0, 0)
+    ]
+    kinds = Counter(difference.kind for difference in differing)
     named = [msgspec.structs.replace(run, run_id=name) for name, run in ((FIRST, whole), (SECOND, second))]
-    told: tuple[DifferenceLine, ...] = ()
-    parting = after = None
+    difference_lines: tuple[DifferenceLine, ...] = ()
+    parting = outcomes = None
     if differing:
         starts = _starts(differing)
         chains = [chain(run, seq) if seq is not None else [] for run, seq in zip((first, second), starts, strict=True)]
         with from_table(encode_coded(named)) as database:
-            places = [(FIRST, one.first_seq) for one in differing if one.first_seq is not None]
-            places += [(SECOND, one.second_seq) for one in differing if one.second_seq is not None]
-            places += [(name, seq) for name, seqs in zip((FIRST, SECOND), chains, strict=True) for seq in seqs]
-            lines = lines_from(database, places)
-            after = outcomes_diff(database, whole, second, found.pairs)
+            keys = [(FIRST, difference.first_seq) for difference in differing if difference.first_seq is not None]
+            keys += [(SECOND, difference.second_seq) for difference in differing if difference.second_seq is not None]
+            keys += [(name, seq) for name, seqs in zip((FIRST, SECOND), chains, strict=True) for seq in seqs]
+            lines = lines_from(database, keys)
+            outcomes = outcomes_diff(database, whole, second, alignment.pairs)
         if ends_us is not None:
-            after = until_the_end(after, ends_us)
-        told = tuple(_line(one, first, second, lines) for one in differing)
-        both = [tuple(lines[(name, seq)] for seq in seqs) for name, seqs in zip((FIRST, SECOND), chains, strict=True)]
-        at_s = min(one.time_s for side in both for one in side[:1])
-        parting = FirstDifference(at_s, both[0], both[1], _changed(first, second, starts, found.pairs))
+            outcomes = until_the_end(outcomes, ends_us)
+        difference_lines = tuple(_line(difference, first, second, lines) for difference in differing)
+        chain_lines = [
+            tuple(lines[(name, seq)] for seq in seqs) for name, seqs in zip((FIRST, SECOND), chains, strict=True)
+        ]
+        at_s = min(line.time_s for side in chain_lines for line in side[:1])
+        parting = FirstDifference(
+            at_s, chain_lines[0], chain_lines[1], _changed(first, second, starts, alignment.pairs)
+        )
     return Diff(
         first=first.run_id,
         second=second.run_id,
         parameters=_parameters(first.events[0], second.events[0]),
-        same=found.same + (len(found.differences) > len(differing)),
+        same=alignment.same + (len(alignment.differences) > len(differing)),
         counts={kind: kinds[kind] for kind in KINDS if kinds[kind]},
-        differences=told,
+        differences=difference_lines,
         parting=parting,
-        consequences=after,
+        consequences=outcomes,
         provenances=provenances,
     )
 
 
 def _starts(differing: "Sequence[Difference]") -> tuple[int | None, int | None]:
     """Return the first event of each run that is not the same in the other."""
-    firsts = [one.first_seq for one in differing if one.first_seq is not None]
-    seconds = [one.second_seq for one in differing if one.second_seq is not None]
+    firsts = [difference.first_seq for difference in differing if difference.first_seq is not None]
+    seconds = [difference.second_seq for difference in differing if difference.second_seq is not None]
     return min(firsts, default=None), min(seconds, default=None)
 
 
@@ -213,32 +219,32 @@ def _changed(
     first: "LedgerRun", second: "LedgerRun", starts: tuple[int | None, int | None], pairs: dict[int, int]
 ) -> tuple[Parameter, ...]:
     """Return the fields in which the first differing events differ, if they are the same event."""
-    one, other = starts
-    if one is None or other is None or pairs.get(one) != other:
+    first_seq, second_seq = starts
+    if first_seq is None or second_seq is None or pairs.get(first_seq) != second_seq:
         return ()
-    return _parameters(first.events[one], second.events[other])
+    return _parameters(first.events[first_seq], second.events[second_seq])
 
 
 def _line(
-    one: "Difference", first: "LedgerRun", second: "LedgerRun", lines: "dict[tuple[str, int], Line]"
+    difference: "Difference", first: "LedgerRun", second: "LedgerRun", lines: "dict[tuple[str, int], Line]"
 ) -> DifferenceLine:
     from fsar_ledger.analysis.difference import FIRST, SECOND
 
-    words = [
-        lines[place].text
-        for place in ((FIRST, one.first_seq), (SECOND, one.second_seq))
-        if place[1] is not None and place in lines
+    texts = [
+        lines[key].text
+        for key in ((FIRST, difference.first_seq), (SECOND, difference.second_seq))
+        if key[1] is not None and key in lines
     ]
     return DifferenceLine(
-        one.kind,
-        one.first_seq,
-        one.second_seq,
-        None if one.first_seq is None else first.times_us[one.first_seq] / 1e6,
-        None if one.second_seq is None else second.times_us[one.second_seq] / 1e6,
-        None if one.shift_us is None else one.shift_us / 1e6,
-        ", ".join(one.fields),
-        one.is_consequence,
-        " / ".join(dict.fromkeys(words)),
+        difference.kind,
+        difference.first_seq,
+        difference.second_seq,
+        None if difference.first_seq is None else first.times_us[difference.first_seq] / 1e6,
+        None if difference.second_seq is None else second.times_us[difference.second_seq] / 1e6,
+        None if difference.shift_us is None else difference.shift_us / 1e6,
+        ", ".join(difference.fields),
+        difference.is_consequence,
+        " / ".join(dict.fromkeys(texts)),
     )
 
 
@@ -275,22 +281,23 @@ def diff_text(found: Diff, names: tuple[str, str], screen: Screen) -> Iterator[S
     yield _verdicts(found.consequences, names)
 
 
-def _parting(found: FirstDifference, names: tuple[str, str]) -> Iterator[str]:
-    for one in found.fields:
+def _parting(parting: FirstDifference, names: tuple[str, str]) -> Iterator[str]:
+    for parameter in parting.fields:
         values = (
-            f"{name} {_value(one.field, text)}" for name, text in zip(names, (one.first, one.second), strict=True)
+            f"{name} {_value(parameter.field, text)}"
+            for name, text in zip(names, (parameter.first, parameter.second), strict=True)
         )
-        yield f"the same event with another {printable.value(one.field.removesuffix('_us'))}: {', '.join(values)}"
-    for name, lines in zip(names, (found.first, found.second), strict=True):
+        yield f"the same event with another {printable.value(parameter.field.removesuffix('_us'))}: {', '.join(values)}"
+    for name, lines in zip(names, (parting.first, parting.second), strict=True):
         if not lines:
             yield f"{name}: does nothing that the other does not"
             continue
         yield f"{name}:"
-        for at, line in enumerate(_shortened(lines)):
+        for index, line in enumerate(_shortened(lines)):
             if line is None:
                 yield f"{'':>24}  ..."
             else:
-                yield f"{line.seq:>8} {line.time_s:>11.3f} s  {'' if not at else 'because '}{line.words}"
+                yield f"{line.seq:>8} {line.time_s:>11.3f} s  {'' if not index else 'because '}{line.words}"
 
 
 def _value(field: str, text: str | None) -> str:
@@ -305,45 +312,45 @@ def _shortened(lines: "Sequence[Line]") -> "list[Line | None]":
     return [*lines[: CHAIN - 1], None, lines[-1]]
 
 
-def _metrics(found: "OutcomesDiff", names: tuple[str, str], screen: Screen) -> SafeText:
+def _metrics(outcomes: "OutcomesDiff", names: tuple[str, str], screen: Screen) -> SafeText:
     rows = [
         {
-            "metric": one.metric,
-            names[0]: one.first,
-            names[1]: one.second,
-            "difference": None if one.first is None or one.second is None else one.second - one.first,
+            "metric": row.metric,
+            names[0]: row.first,
+            names[1]: row.second,
+            "difference": None if row.first is None or row.second is None else row.second - row.first,
         }
-        for one in found.metrics
+        for row in outcomes.metrics
     ]
     return screen.table(rows)
 
 
-def _tasks(found: "OutcomesDiff", names: tuple[str, str], screen: Screen) -> SafeText:
+def _tasks(outcomes: "OutcomesDiff", names: tuple[str, str], screen: Screen) -> SafeText:
     rows = [
         {
-            "task": one.task_id,
-            "due_s": one.due_s,
-            names[0]: one.first,
-            f"{names[0]}_s": one.first_s,
-            names[1]: one.second,
-            f"{names[1]}_s": one.second_s,
+            "task": task.task_id,
+            "due_s": task.due_s,
+            names[0]: task.first,
+            f"{names[0]}_s": task.first_s,
+            names[1]: task.second,
+            f"{names[1]}_s": task.second_s,
         }
-        for one in found.tasks
-        if (one.first, one.first_s) != (one.second, one.second_s)
+        for task in outcomes.tasks
+        if (task.first, task.first_s) != (task.second, task.second_s)
     ]
     if not rows:
-        return printable.lines("", "all tasks end alike" if found.tasks else "no task is on record in either")
+        return printable.lines("", "all tasks end alike" if outcomes.tasks else "no task is on record in either")
     return printable.joined(printable.lines(""), screen.table(rows))
 
 
-def _verdicts(found: "OutcomesDiff", names: tuple[str, str]) -> SafeText:
-    told, others = (dict(zip(("first", "second"), each, strict=True)) for each in (names, names[::-1]))
+def _verdicts(outcomes: "OutcomesDiff", names: tuple[str, str]) -> SafeText:
+    sides, others = (dict(zip(("first", "second"), pair, strict=True)) for pair in (names, names[::-1]))
     lines = [
-        f"{'only ' if one.is_judged_in_both else ''}{told[one.run]}: {one.verdict} at {one.time_s:.3f} s, "
-        + printable.value(one.what)
-        + ("" if one.seq is None else f" (event {one.seq})")
-        + ("" if one.is_judged_in_both else f"; {others[one.run]} does not observe what would tell")
-        for one in found.verdicts
+        f"{'only ' if row.is_judged_in_both else ''}{sides[row.run]}: {row.verdict} at {row.time_s:.3f} s, "
+        + printable.value(row.what)
+        + ("" if row.seq is None else f" (event {row.seq})")
+        + ("" if row.is_judged_in_both else f"; {others[row.run]} does not observe what would tell")
+        for row in outcomes.verdicts
     ]
     return printable.lines("", *lines) if lines else printable.lines()
 

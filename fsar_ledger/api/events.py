@@ -1,6 +1,6 @@
-"""The events of a ledger by run, robot and time: as typed objects, as a table, or a line for people for each.
+"""The events of a ledger by run, robot and time: as typed objects, as a table, or as lines of text.
 
-The lines are rows of `queries/facts/log_lines.sql`. Those of all runs are told segment by segment, or by groups of
+The lines are rows of `queries/facts/log_lines.sql`. Those of all runs are read segment by segment, or by groups of
 segments that share runs, with one in memory at a time.
 """
 
@@ -51,7 +51,7 @@ NAMING = {name: kind for name, kind in COLUMNS.items() if name not in _ENVELOPE 
 
 
 class Filter(NamedTuple):
-    """Which events to take; None takes all. Times are microseconds, from `since_us` and before `until_us`."""
+    """A filter of events; None takes all. Times are microseconds, from `since_us` and before `until_us`."""
 
     run: str | None = None
     since_us: int | None = None
@@ -133,11 +133,11 @@ class LoggedEvent(NamedTuple):
 
 
 class Events:
-    """Some events of a ledger; every method reads the ledger anew.
+    """A selection of a ledger's events; every method reads the ledger anew.
 
     Iterating yields a `LoggedEvent` for each, in the order of the ledger, with one segment in memory at a time: runs
-    that were recorded at the same time take turns. Events of retired types come as their newest version. If some run
-    continues another, whole runs come instead, and those that continue each other as one, with seqs that count on.
+    that were recorded at the same time are interleaved. Events of retired types are yielded as their newest version.
+    If any run continues another, runs are yielded whole instead, a chain of them as one run with consecutive seqs.
     """
 
     def __init__(self, path: Path, meant: Filter, demanded: str | None = None) -> None:
@@ -153,7 +153,7 @@ class Events:
                     yield LoggedEvent(run.run_id, seq, time_us, caused_by, event)
 
     def _runs(self, view: View) -> Iterator[codec.LedgerRun]:
-        """Yield the runs, whole or in the pieces that the ledger has of them."""
+        """Yield the runs, whole or in the pieces that the ledger stores."""
         if self._meant.run is not None and len(chain_of(view, self._meant.run)) > 1:
             yield record_of(view, self._meant.run)
             return
@@ -194,7 +194,7 @@ _PLURALS = {f"{name}s": name for name in CONCERNS} | {
 
 
 class LogRequest(NamedTuple):
-    """Which lines to tell: of the events that the filter takes, those of these concerns (empty: of all)."""
+    """A request for log lines: of the events that the filter takes, those of these concerns (empty: of all)."""
 
     meant: Filter
     about: tuple[str, ...]
@@ -211,17 +211,15 @@ def asked_of(
     *,
     is_growing: bool = False,
 ) -> LogRequest:
-    """Return what a person asks for, with full names; the run is `all` for every one.
+    """Return the request with names in full; the run `all` selects every run.
 
     Raises:
         UsageError: There is no such run, robot or concern, or no such time in these runs. If the ledger is growing, any
-            time may come.
+            time is accepted.
     """
     concerns = concerns_of(about)
     name = None if run == ALL else resolve_run(database, run, ledger)
-    since, until = (
-        run_time(database, option(side), asked, name) for side, asked in (("since", since), ("until", until))
-    )
+    since, until = (run_time(database, option(side), time, name) for side, time in (("since", since), ("until", until)))
     since_us, until_us = span(since, until)
     if since_us is not None and not is_growing:
         with resting_on_rows(database.rows_verified):
@@ -231,68 +229,68 @@ def asked_of(
 
 
 def concerns_of(about: str | Sequence[str] | None) -> tuple[str, ...]:
-    """Return the concerns of these words, which may be plural and parted by commas. Raises: As `known`."""
+    """Return the concerns of these words, which may be plural and separated by commas. Raises: As `known`."""
     words = [word.strip() for text in names_of(about) or () for word in text.split(",")]
     return known("concern", [_PLURALS.get(word, word) for word in words], CONCERNS)
 
 
 def timeline(database: Database, asked: LogRequest) -> Table:
-    """Return the lines asked for, by run and seq, with their provenance. Raises: As `Database.table`."""
+    """Return the requested lines, by run and seq, with their provenance. Raises: As `Database.table`."""
     return Table(_lines(database, asked), about_of(database, asked))
 
 
 def about_of(database: Database, asked: LogRequest) -> Provenance:
-    """Return the provenance of these lines; of what is not observed only what is asked about."""
-    found = of_rows(database, database.library.find(_QUERY), asked.meant.run)
-    missing = tuple(one for one in found.not_observed if not asked.about or one.concern in asked.about)
-    return Provenance(found.head, found.rows_verified, None, missing)
+    """Return the provenance of these lines, with `not_observed` limited to the requested concerns."""
+    provenance = of_rows(database, database.library.find(_QUERY), asked.meant.run)
+    missing = tuple(gap for gap in provenance.not_observed if not asked.about or gap.concern in asked.about)
+    return Provenance(provenance.head, provenance.rows_verified, None, missing)
 
 
 def stream(
     ledger: Path, asked: LogRequest, about: Provenance, demanded: str | None, pause: Pause | None
 ) -> Iterator[Table]:
-    """Yield the lines of all runs, some at a time; with `pause`, go on with later commits as they come.
+    """Yield the lines of all runs in batches; with `pause`, continue with later commits as they appear.
 
     Args:
         ledger: Its folder.
-        asked: What to tell.
-        about: The provenance, but for head and rows.
+        asked: The requested lines.
+        about: The provenance, except for head and rows.
         demanded: As in `connect`.
-        pause: Called before each look for more commits; None: end after those that are there.
+        pause: Called before each check for more commits; None: end after the present ones.
 
     Raises:
-        LedgerCorrupted: The ledger is damaged, or no longer the one whose lines were told.
+        LedgerCorrupted: The ledger is damaged, or no longer the one whose lines were yielded.
     """
     carried: _Carried | None = None
-    again = AFRESH
+    threshold = AFRESH
     for view, first in growth(ledger, pause):
         provenance = Provenance(view.head, is_verified(view, demanded), None, about.not_observed)
-        is_long = pause is not None and view.head.size >= again
-        again = view.head.size + AFRESH if is_long else again
+        is_long = pause is not None and view.head.size >= threshold
+        threshold = view.head.size + AFRESH if is_long else threshold
         if (rows := None if carried is None else _later(view, carried)) is not None:
             with from_table(rows) as database:
-                found = _lines(database, asked, _untold(view, first))
+                lines = _lines(database, asked, _untold(view, first))
                 carried = _carried(database, view) if is_long else carried
-            yield Table(found, provenance)
+            yield Table(lines, provenance)
             continue
         carried = None
         for group in whole_groups(view):
             if view.end(group[-1]) > first:
                 with _database(view, group) as database:
-                    found = _lines(database, asked, _untold(view, first) if view.first(group[0]) < first else None)
+                    lines = _lines(database, asked, _untold(view, first) if view.first(group[0]) < first else None)
                     carried = _carried(database, view) if is_long and group[-1] == len(view.releases) - 1 else None
-                yield Table(found, provenance)
+                yield Table(lines, provenance)
 
 
 AFRESH = 20_000
-"""Events after which a ledger that is followed has grown so much that what they leave open is taken for them."""
+"""New events after which, of a followed ledger, only the events that later lines may need are kept."""
 _BEGINNINGS = ("TaskArrived.v1", "OutsiderRequestInjected.v1")
 
 
 class _Carried(NamedTuple):
-    """What later lines may need of the only run that goes on, from before this index in the ledger.
+    """The events before index `until` of the ledger that later lines of its only run may need.
 
-    `begins` is the first of the runs that it consists of.
+    `begins` is the first of the runs that the run consists of.
     """
 
     begins: str
@@ -301,7 +299,7 @@ class _Carried(NamedTuple):
 
 
 def _carried(database: Database, view: View) -> _Carried | None:
-    """Return what is carried on from all events; None if they are of several runs, or of one that is not all there."""
+    """Return what to carry on from all events; None if they are of several runs, or of an incomplete one."""
     runs = database.table("SELECT DISTINCT run_id FROM events")["run_id"].to_pylist()
     if len(runs) != 1:
         return None
@@ -310,12 +308,12 @@ def _carried(database: Database, view: View) -> _Carried | None:
 
 
 def _later(view: View, carried: _Carried) -> pa.Table | None:
-    """Return what was carried, and the events since, as of the whole run.
+    """Return the carried events and those since, as events of the whole run.
 
-    None if some are of other runs, or about a task that was left behind.
+    None if some are of other runs, or about a task that was not carried.
     """
     ends = [view.end(number) for number in range(len(view.releases))]
-    if any(end > carried.until and one != RELEASE for end, one in zip(ends, view.releases, strict=True)):
+    if any(end > carried.until and release != RELEASE for end, release in zip(ends, view.releases, strict=True)):
         return None
     rows = _from(view, carried.until, SCHEMA.names)
     names = rows["run_id"].unique().to_pylist()
@@ -328,24 +326,24 @@ def _later(view: View, carried: _Carried) -> pa.Table | None:
     causes = pc.if_else(pc.equal(cause, 0), 0, pc.add(cause, pc.subtract(counted["seq"], rows["seq"])))
     parts = [(carried.events, {"run_id": pa.array([whole] * len(carried.events))})]
     parts += [(rows, {"run_id": counted["run_id"], "seq": counted["seq"], "caused_by": causes})]
-    found = pa.concat_tables(
+    events = pa.concat_tables(
         pa.table([new.get(name, table[name]) for name in SCHEMA.names], schema=SCHEMA) for table, new in parts
     )
-    begun = found.filter(pc.is_in(found["type"], pa.array(_BEGINNINGS)))["task_id"]
+    begun = events.filter(pc.is_in(events["type"], pa.array(_BEGINNINGS)))["task_id"]
     forgotten = pc.invert(pc.is_in(rows["task_id"].drop_null(), begun.combine_chunks()))
-    return None if pc.any(forgotten, min_count=0).as_py() else found
+    return None if pc.any(forgotten, min_count=0).as_py() else events
 
 
 def _lines(database: Database, asked: LogRequest, untold: pa.Table | None = None) -> pa.Table:
-    """Return the lines asked for of all runs here, of these events alone if given, in the order of the ledger."""
-    meant, values = asked.meant.sql()
+    """Return the requested lines of all runs here, of the events `untold` alone if given, in ledger order."""
+    select, values = asked.meant.sql()
     bound: dict[str, Value] = dict(values)
     conditions = ["run_id = $run"] if asked.meant.run is not None else []
     if asked.about:
         conditions.append("list_contains($about, concern)")
         bound["about"] = list(asked.about)
     if values.keys() - {"run"}:
-        conditions += _among(database, f"SELECT run_id, seq FROM ({meant})", values)
+        conditions += _among(database, f"SELECT run_id, seq FROM ({select})", values)
     if untold is not None:
         database.hold("untold", untold)
         conditions += _among(database, "SELECT run_id, seq FROM untold")
@@ -355,13 +353,13 @@ def _lines(database: Database, asked: LogRequest, untold: pa.Table | None = None
 
 
 def _among(database: Database, chosen: str, values: Mapping[str, Value] | None = None) -> list[str]:
-    """Return the conditions that an event is among these.
+    """Return the conditions that an event is among the `chosen` ones.
 
-    Only the second reaches the scans of the events, so that a moment of a long run does not take as long as all of it.
+    Only the second reaches the scans of the events, so that a moment of a long run is not as slow as all of it.
     """
     span = f"SELECT coalesce(min(seq), 0) AS first, coalesce(max(seq), -1) AS last FROM ({chosen})"
-    [found] = database.rows(span, values)
-    return [f"(run_id, seq) IN ({chosen})", f"seq BETWEEN {found['first']} AND {found['last']}"]
+    [bounds] = database.rows(span, values)
+    return [f"(run_id, seq) IN ({chosen})", f"seq BETWEEN {bounds['first']} AND {bounds['last']}"]
 
 
 @contextmanager
@@ -374,12 +372,12 @@ def _database(view: View, group: Sequence[int]) -> Iterator[Database]:
 
 
 def _untold(view: View, first: int) -> pa.Table:
-    """Return the run and seq of the events from this index on, as readers of whole runs have them."""
+    """Return the run and seq of the events from this index on, as counted in whole runs."""
     return counted_rows(view, _from(view, first, ["run_id", "seq"]))
 
 
 def _from(view: View, first: int, columns: list[str]) -> pa.Table:
-    """Return these columns of the events from this index on, those of segments and of the journal alike."""
+    """Return these columns of the events from this index on, from segments and the journal."""
     schema = pa.schema([SCHEMA.field(name) for name in columns])
     return pa.concat_tables(table.cast(schema) for table in view.tables_from(first, columns))
 

@@ -52,7 +52,7 @@ GROUNDS = """
     )
     ORDER BY seq
 """
-"""The windows and rules of the event that decided a request, and of the calls for review that are told of it."""
+"""The windows and rules of the event that decided a request, and of the calls for review in its timeline."""
 
 
 class Account(Answer, msgspec.Struct, frozen=True):
@@ -74,14 +74,14 @@ class Account(Answer, msgspec.Struct, frozen=True):
 
     @property
     def decisive_seq(self) -> int:
-        """The position in the run of the event that decided the result, else of the last one told."""
+        """The position in the run of the event that decided the result, else of the last one in the timeline."""
         seq = self.parties["seq"]
         return int(self.timeline[-1]["seq"] if seq is None else seq)
 
     def draw(self, file: Place, kind: Literal["svg", "pdf"] | None = None) -> None:
         """Draw the timeline, or the levels of a failure's recovery, as SVG or PDF; the file is replaced if it exists.
 
-        `kind` decides the format, else the suffix of the file.
+        `kind` is the format, by default that of the suffix.
 
         Raises:
             UsageError: Neither gives a format, or the file lies inside a ledger.
@@ -90,14 +90,14 @@ class Account(Answer, msgspec.Struct, frozen=True):
         from fsar_ledger.base.publishing import publish
         from fsar_ledger.report import sequence
 
-        place, form = figure_place(file, kind)
+        path, form = figure_place(file, kind)
         rows, figure = (self.recovery, sequence.ladder) if self.is_failure else (self.timeline, sequence.sequence)
-        publish(place, figure(rows, form))
+        publish(path, figure(rows, form))
 
     def document(self, _: Screen) -> Mapping[str, object]:
         """Return the account."""
-        told = {"parties": self.parties, "timeline": self.timeline, "recovery": self.recovery}
-        return {"run": self.run, "action": self.action, **told}
+        rows = {"parties": self.parties, "timeline": self.timeline, "recovery": self.recovery}
+        return {"run": self.run, "action": self.action, **rows}
 
     def text(self, screen: Screen) -> Iterator[printable.SafeText]:
         """Yield the timeline, the parties, the recovery, and how to prove what decided."""
@@ -108,7 +108,7 @@ class Account(Answer, msgspec.Struct, frozen=True):
         yield printable.lines(*lines, "", *hints)
 
     def _proof(self, screen: Screen, seq: int, what: str = "") -> str:
-        """Return the call that proves an event, and what it is."""
+        """Return a hint with the command that proves an event; `what` describes the event."""
         event = screen.event_word(self.run, seq)
         return f"`fsar-ledger prove {printable.word(screen.path)} {event}` proves event {seq}{what} to others"
 
@@ -193,7 +193,7 @@ def _requests(ledger: "Ledger", run: Run | None) -> "tuple[str, Table]":
 
 
 def _account(about: "AboutRun", ledger: Path, request: str | None, failure: str | None) -> Account:
-    """Give an account of this action, as a request or as a failure.
+    """Return the account of this action, as a request or as a failure.
 
     Raises:
         UsageError: The run has no such action, the action has not failed, or both or neither are named.
@@ -228,9 +228,9 @@ def _account(about: "AboutRun", ledger: Path, request: str | None, failure: str 
                 f"{option('request', failure)} shows what happened"
             )
     grounds = database.rows(GROUNDS, {"run": run, "seq": parties["seq"], "told": [row["seq"] for row in timeline]})
-    found = tuple(row["seq"] for row in grounds)
-    about_rows = of_rows(database, TIMELINE, run)
-    return Account(run, action, parties, timeline, recovery, found, failure is not None, about_rows)
+    ground_seqs = tuple(row["seq"] for row in grounds)
+    provenance = of_rows(database, TIMELINE, run)
+    return Account(run, action, parties, timeline, recovery, ground_seqs, failure is not None, provenance)
 
 
 def run_with(database: "Database", ledger: Path, action: str) -> str:
@@ -242,16 +242,16 @@ def run_with(database: "Database", ledger: Path, action: str) -> str:
         WHERE run_id IN (SELECT run_id FROM keyed_events WHERE action_id = $action)
         ORDER BY number
     """
-    found = [str(row["run_id"]) for row in database.rows(sql, {"action": action})]
-    if len(found) > 1:
+    matches = [str(row["run_id"]) for row in database.rows(sql, {"action": action})]
+    if len(matches) > 1:
         numbers = numbers_of(database)
-        named = printable.some(printable.value(str(numbers.get(run, run))) for run in found)
+        listed = printable.some(printable.value(str(numbers.get(run, run))) for run in matches)
         raise UsageError(
-            f"{printable.value(action)}: found this action in {len(found):,} runs, expected the run, too; give "
-            f"{option('run')} one of {named}"
+            f"{printable.value(action)}: found this action in {len(matches):,} runs, expected the run, too; give "
+            f"{option('run')} one of {listed}"
         )
-    if found:
-        return found[0]
+    if matches:
+        return matches[0]
     runs = [row["run_id"] for row in database.rows("SELECT run_id FROM run_numbers")]
     only = str(runs[0]) if len(runs) == 1 else None
     number = numbers_of(database).get(only) if only else None
@@ -265,28 +265,28 @@ def _rows(database: "Database", query: str, run: str, action: str) -> Rows:
     return plain_rows(database.query(query, {"run": run, "action": action}))
 
 
-def _no_action(database: "Database", ledger: Path, run: str | None, asked: str, number: int | None) -> str:
-    """Say that the run, or with None every run, lacks the action; name the nearest, and how to list those there are."""
+def _no_action(database: "Database", ledger: Path, run: str | None, action: str, number: int | None) -> str:
+    """Return the error text for an action that the run (None: any run) lacks, with the nearest and how to list them."""
     from fsar_ledger.metrics.sql_values import names_on_record
 
     place = "any run" if run is None else f"run {printable.value(run)}"
-    hint = printable.did_you_mean(asked, names_on_record(database, "action", run)) or ";"
-    called = (
+    hint = printable.did_you_mean(action, names_on_record(database, "action", run)) or ";"
+    command = (
         f"query requests {printable.word(ledger)}"
         if run is None
         else f"explain {printable.word(ledger)} --run {printable.word(run if number is None else number)}"
     )
-    return f"{asked}: there is no such request in {place}{hint} `fsar-ledger {called}` lists them"
+    return f"{action}: there is no such request in {place}{hint} `fsar-ledger {command}` lists them"
 
 
 def shown(rows: Sequence[Mapping[str, Any]]) -> Rows:
-    """Return the rows with each text as people see it: `MAX_WORDS` characters of messages, fewer of names."""
+    """Return the rows with each text printable: at most `MAX_WORDS` characters of messages, fewer of names."""
     return [
         {
-            name: printable.value(found, MAX_WORDS if name in WORDS else printable.MAX_VALUE)
-            if isinstance(found, str)
-            else found
-            for name, found in row.items()
+            name: printable.value(value, MAX_WORDS if name in WORDS else printable.MAX_VALUE)
+            if isinstance(value, str)
+            else value
+            for name, value in row.items()
         }
         for row in rows
     ]
@@ -295,7 +295,7 @@ def shown(rows: Sequence[Mapping[str, Any]]) -> Rows:
 def account_lines(
     screen: Screen, who: tuple[str, str], timeline: Rows, parties: Mapping[str, Any], recovery: Rows
 ) -> Iterator[str]:
-    """Yield the words for the run, the action (`who`), a line for each step, the parties, and the recovery."""
+    """Yield lines on the run and action (`who`), each step, the parties, and the recovery."""
     run, action = who
     yield screen.run_text(run)
     what = f", {parties['capability']}" if parties["capability"] else ""
@@ -312,7 +312,7 @@ def account_lines(
     if not all(row["is_tied"] for row in timeline):
         yield "* the record names no action; its cause does"
     yield ""
-    yield from (f"{name.replace('_', ' '):<14} {found}" for name, found in _parties(parties))
+    yield from (f"{name.replace('_', ' '):<14} {text}" for name, text in _parties(parties))
     took = "" if parties["ended_s"] is None else f", {parties['ended_s'] - parties['began_s']:.3f} s after it began"
     yield f"{'result':<14} {parties['result'] or 'not observed'}{took}"
     yield from _recovered(recovery)
@@ -332,7 +332,7 @@ def _parties(parties: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _between(row: Mapping[str, Any]) -> str:
-    """Return who told whom; one name for a deed."""
+    """Return `sender -> receiver` of a message, or the one name of an act."""
     sender = row["sender"] or "?"
     return f"{sender} -> {row['receiver'] or '?'}" if row["kind"] == "message" else sender
 
@@ -358,8 +358,8 @@ def _result(row: Mapping[str, Any], stay: Sequence[Mapping[str, Any]]) -> str:
     if row["achieved"]:
         result += f" ({row['achieved']})"
     if row["to_level"] is not None:
-        attempts = sum(one["budget_s"] is not None for one in stay)
-        budget = next((one["budget_s"] for one in stay if one["budget_s"] is not None), None)
+        attempts = sum(step["budget_s"] is not None for step in stay)
+        budget = next((step["budget_s"] for step in stay if step["budget_s"] is not None), None)
         result += (
             "" if budget is None else f" ({printable.counted(attempts, 'attempt')} within {printable.number(budget)} s)"
         )

@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 
 SUFFIX = ".duckdb"
 HEAD = "ledger_head"
-"""The table by which a file of ours is known."""
+"""The table that identifies a file that `open` wrote."""
 
 
 class ExportResult(Answer, msgspec.Struct, frozen=True):
     """The number of rows (or tiles, or events) that were written to a file, and their provenance.
 
-    `notes` tell what else is in it and what is not.
+    `notes` describe what else the file holds and what it lacks.
     """
 
     row_count: int
@@ -121,8 +121,8 @@ def export(
         return ExportResult(write_tiles(view, file, progress), provenance, file, "tiles")
     require_place(file)
     if query is not None:
-        found = ledger.query(query, **(parameters or {}))
-        return ExportResult(write_table(file, found.stored, raw=raw), found.provenance, file)
+        table = ledger.query(query, **(parameters or {}))
+        return ExportResult(write_table(file, table.stored, raw=raw), table.provenance, file)
     if parameters:
         raise UsageError(f"export: found parameter {next(iter(parameters))} and no query, expected both or neither")
     return ExportResult(*write_events(ledger.path, file, raw=raw, demanded=ledger.demanded, progress=progress), file)
@@ -171,41 +171,41 @@ def open(  # named as the command is
 
     from .files import whole_file
 
-    place = ledger.path.resolve()
-    file = Path(f"{place.name}{SUFFIX}") if out is None else Path(out)
+    source = ledger.path.resolve()
+    file = Path(f"{source.name}{SUFFIX}") if out is None else Path(out)
     _require_ours(file)
     with whole_file(file) as temporary, TemporaryDirectory(prefix="fsar-ledger-") as folder:
         temporary.touch()
-        temporary.unlink()  # the system says better than DuckDB why there is no place for it
-        # DuckDB takes a `?` in a name for the end of it, and leaves its log where the name then leads.
+        temporary.unlink()  # the system's error is clearer than DuckDB's if it cannot be made
+        # DuckDB takes a `?` in a name for its end, and leaves its log under the shorter name.
         link = Path(folder) / f"ledger{SUFFIX}"
         link.symlink_to(temporary.absolute())
         try:
-            with connect(place, 1, ledger.demanded, link) as database:
-                return _fill(database, place, file, progress)
-        except (duckdb.Error, QueryFailed) as problem:  # our own queries have no mistakes
-            said = str(problem).removeprefix("SQL: ").partition("\n")[0]
+            with connect(source, 1, ledger.demanded, link) as database:
+                return _fill(database, source, file, progress)
+        except (duckdb.Error, QueryFailed) as problem:  # our own queries are correct
+            reason = str(problem).removeprefix("SQL: ").partition("\n")[0]
             raise WriteFailed(
-                f"{file}: cannot be written ({said}); the file is as it was before: make room or choose another place"
+                f"{file}: cannot be written ({reason}); the file is as it was before: make room or choose another place"
             ) from problem
 
 
 def _fill(database: "Database", ledger: Path, file: Path, progress: Progress | None) -> OpenResult:
-    """Make every relation and macro, and the tables that say what the file is."""
+    """Create every relation and macro, and the tables that describe the file."""
     import pyarrow as pa
 
     from fsar_ledger.base.progress import each
     from fsar_ledger.metrics.provenance import Provenance
 
-    found = sorted(database.library.queries.values(), key=lambda query: bool(query.parameters))
+    queries = sorted(database.library.queries.values(), key=lambda query: bool(query.parameters))
     left_out = []
-    _hold_facts(database, found)
-    for query in each(found, progress):
+    _hold_facts(database, queries)
+    for query in each(queries, progress):
         if not query.parameters:
             database.prepare(query.relation)
         elif not database.macro(query):
             left_out.append(query)
-    asked = sum(bool(query.parameters) for query in found)
+    macro_count = sum(bool(query.parameters) for query in queries)
     head = database.head
     assert head is not None
     database.hold(
@@ -225,11 +225,13 @@ def _fill(database: "Database", ledger: Path, file: Path, progress: Progress | N
     database.hold("not_included", pa.table({"name": names, "reason": reasons}))
     database.write_out()
     provenance = Provenance(head, database.rows_verified)
-    return OpenResult(file, len(found) - asked, asked - len(left_out), tuple(names.to_pylist()), provenance)
+    return OpenResult(
+        file, len(queries) - macro_count, macro_count - len(left_out), tuple(names.to_pylist()), provenance
+    )
 
 
 def _hold_facts(database: "Database", queries: "Sequence[Query]") -> None:
-    """Hold what a large ledger says of each run by itself, slice by slice, so that memory does not grow with it."""
+    """Store the facts about single runs of a large ledger slice by slice, so that memory does not grow with it."""
     if database.slices is None:
         return
     database.hold_rows_of_slices([query.relation for query in queries])

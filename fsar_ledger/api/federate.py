@@ -1,4 +1,4 @@
-"""The verb and the function `federate`: a live federation on a ledger, which robots and people give commands."""
+"""The verb and the function `federate`: a live federation on a ledger, commanded by robots and people."""
 
 import sys
 import time
@@ -42,9 +42,9 @@ OF: Any = declare(
 )
 """The options that `federate` and `serve` share."""
 TICK_S = 0.1
-"""How often what is due by itself is decided while no command comes."""
+"""Seconds between decisions on what is due, such as timeouts, while no command arrives."""
 BESIDE = ("command", "by", "key")
-"""What a line may have beside the fields of its command."""
+"""The keys that a line may have beside the fields of its command."""
 
 
 def federate(
@@ -73,13 +73,13 @@ def federate(
         origin: Publish a new ledger under this name.
         key: The file of the key that signs.
         cut: When the run is cut: `daily`, or times of the day in UTC (`06:00,14:00`); None: only by `Federation.cut`.
-        isolated: The robot that goes on alone, without the federation, if the run is its own.
+        isolated: The robot that continues alone, without the federation, if the run is its own.
         of: The ledger with the fleet's run, or the copy of it that this robot keeps.
         clock: The time in nanoseconds since 1970.
         on_commit: As `Federation`.
 
     Raises:
-        UsageError: The fleet cannot be read or has another number of robots, `cut` is no time, or only one of
+        UsageError: The fleet cannot be read or has another number of robots, `cut` is not a time, or only one of
             `isolated` and `of` is given; or as `Federation` or `isolation_of`.
     """
     from fsar_ledger.ledger.opening import open_ledger
@@ -95,11 +95,11 @@ def federate(
     isolated = isolated if isolated is None or "/" in isolated else f"robot/{isolated}"
     if not run:
         raise UsageError("run: found an empty name, expected one with at least a letter")
-    place, signer = Path(out), None if key is None else read_signer(Path(key))
-    name = origin_of(place, origin, signer, ORIGIN)
-    goes_on = kept_origin(place) is not None and open_ledger(place).has_run(run)
+    path, signer = Path(out), None if key is None else read_signer(Path(key))
+    name = origin_of(path, origin, signer, ORIGIN)
+    is_continued = kept_origin(path) is not None and open_ledger(path).has_run(run)
     federation = Federation(
-        place,
+        path,
         run,
         *_fleet_of(robots, fleet, settings),
         clock,
@@ -107,16 +107,16 @@ def federate(
         signer=signer,
         on_commit=on_commit,
         cuts_us=() if cut is None else _times_us(cut),
-        isolation=None if isolated is None or of is None or goes_on else isolation_of(Path(of), isolated),
+        isolation=None if isolated is None or of is None or is_continued else isolation_of(Path(of), isolated),
     )
-    wrong = None
-    if goes_on and not _is_as_begun(federation, robots, fleet, settings):
-        wrong = "a fleet or settings other than it was begun with, expected the same or none; leave them out"
+    mismatch = None
+    if is_continued and not _is_as_begun(federation, robots, fleet, settings):
+        mismatch = "a fleet or settings other than it was begun with, expected the same or none; leave them out"
     if isolated is not None and federation.state.fleet.isolated != isolated:
-        wrong = f"another run, expected that of {isolated} alone"
-    if wrong is not None:
+        mismatch = f"another run, expected that of {isolated} alone"
+    if mismatch is not None:
         federation.close()
-        raise UsageError(f"{out}: run {printable.value(run)}: found {wrong}")
+        raise UsageError(f"{out}: run {printable.value(run)}: found {mismatch}")
     return federation
 
 
@@ -135,7 +135,7 @@ def _fleet_of(robots: int | None, fleet: str | None, settings: Sequence[str]) ->
 
 
 def _is_as_begun(federation: "Federation", robots: int | None, fleet: str | None, settings: Sequence[str]) -> bool:
-    """Return whether a run that goes on was begun with what is given of these."""
+    """Return whether a run that is continued was begun with those of these that are given."""
     from fsar_ledger.runtime.own import with_own
     from fsar_ledger.runtime.recipes import recorded_constants
 
@@ -146,57 +146,57 @@ def _is_as_begun(federation: "Federation", robots: int | None, fleet: str | None
 def _times_us(cut: str) -> tuple[int, ...]:
     """Return these times of the day, in microseconds after midnight. Raises: UsageError."""
     try:
-        times = [clock_time.fromisoformat(one.strip()) for one in ("00:00" if cut == "daily" else cut).split(",")]
-        if any(one.tzinfo is not None for one in times):
+        times = [clock_time.fromisoformat(text.strip()) for text in ("00:00" if cut == "daily" else cut).split(",")]
+        if any(moment.tzinfo is not None for moment in times):
             raise ValueError
     except ValueError as error:
         expected = "daily, or times of the day in UTC as in 06:00,14:00"
         raise UsageError(f"{option('cut', printable.value(cut))}: expected {expected}") from error
-    return tuple(((one.hour * 60 + one.minute) * 60 + one.second) * 1_000_000 for one in times)
+    return tuple(((moment.hour * 60 + moment.minute) * 60 + moment.second) * 1_000_000 for moment in times)
 
 
 class Decisions(Answer):
-    """The decisions of a federation on the commands that come in lines, each a line of JSON once it is on disk."""
+    """The decisions of a federation on commands read from lines, each a line of JSON once it is on disk."""
 
     def __init__(self, federation: "Federation", lines: BinaryIO) -> None:
         self._federation, self._lines, self._refused = federation, lines, 0
 
     @property
     def exit_code(self) -> int:
-        """Return 1 if a line was no command."""
+        """Return 1 if a line was not a command."""
         return 1 if self._refused else 0
 
     def text(self, _: Screen) -> Iterator[SafeText]:
-        """Yield a line for each command, and for what follows by itself; the run can go on after the last."""
-        with self._federation as one:
-            for came in _ticking(self._lines):
-                yield from _told(one.advance())
-                if came is None:
+        """Yield a line for each command, and for decisions without one; the run can continue after the last."""
+        with self._federation as federation:
+            for numbered in _ticking(self._lines):
+                yield from _told(federation.advance())
+                if numbered is None:
                     continue
-                number, line = came
+                number, line = numbered
                 try:
-                    yield _line(_decided(one, line))
+                    yield _line(_decided(federation, line))
                 except UsageError as error:
                     self._refused += 1
                     yield _line({"line": number, "error": f"{error}"})
-            yield from _told(one.advance())
+            yield from _told(federation.advance())
 
 
 def _ticking(lines: BinaryIO) -> Iterator[tuple[int, bytes] | None]:
-    """Yield each line with its number as it comes, and None while none does."""
+    """Yield each line with its number as it arrives, and None every `TICK_S` while none does."""
     from fsar_ledger.sources.columns import numbered_lines
 
-    came: SimpleQueue[tuple[int, bytes] | None] = SimpleQueue()
+    arrivals: SimpleQueue[tuple[int, bytes] | None] = SimpleQueue()
 
     def read() -> None:
         for numbered in numbered_lines(lines):
-            came.put(numbered)
-        came.put(None)
+            arrivals.put(numbered)
+        arrivals.put(None)
 
     Thread(target=read, name="commands", daemon=True).start()
     while True:
         try:
-            numbered = came.get(timeout=TICK_S)
+            numbered = arrivals.get(timeout=TICK_S)
         except Empty:
             yield None
             continue
@@ -206,7 +206,7 @@ def _ticking(lines: BinaryIO) -> Iterator[tuple[int, bytes] | None]:
 
 
 def _decided(federation: "Federation", line: bytes) -> Mapping[str, object]:
-    """Return what became of the command in this line. Raises: UsageError for what is none."""
+    """Return the outcome of the command in this line. Raises: UsageError if it is not a command."""
     from fsar_ledger.runtime.live import command_given
     from fsar_ledger.sources.columns import object_of
 
@@ -218,8 +218,8 @@ def _decided(federation: "Federation", line: bytes) -> Mapping[str, object]:
         raise UsageError(f"field key: found {row['key']!r:.80}, expected text")
     fields = {name: row[name] for name in row.keys() - set(BESIDE)}
     decision = federation.decide(command_given(row["command"], row["by"], fields, row.get("key")))
-    said = {"seq": decision.seq, "rejected": decision.rejected, "events": _names(decision.events)}
-    return said | ({"followed": _names(decision.followed)} if decision.followed else {})
+    outcome = {"seq": decision.seq, "rejected": decision.rejected, "events": _names(decision.events)}
+    return outcome | ({"followed": _names(decision.followed)} if decision.followed else {})
 
 
 def _told(events: "Sequence[Event]") -> Iterator[SafeText]:
@@ -230,17 +230,27 @@ def _told(events: "Sequence[Event]") -> Iterator[SafeText]:
 def _names(events: "Sequence[Event]") -> list[Mapping[str, object]]:
     from fsar_ledger.events.envelope import flat
 
-    kept = ("action_id", "task_id", "robot", "helper", "supervisor", "requested_by", "executed_by", "reason", "fence")
+    keys = (
+        "action_id",
+        "task_id",
+        "robot",
+        "helper",
+        "supervisor",
+        "requested_by",
+        "executed_by",
+        "reason",
+        "fence",
+    )
     rows = [(type(event).__name__, flat(event)) for event in events]
     return [
-        {"type": kind, **{name: row[name] for name in kept if row.get(name) is not None}}
+        {"type": kind, **{name: row[name] for name in keys if row.get(name) is not None}}
         for kind, row in rows
         if kind != "CommandGiven"
     ]
 
 
-def _line(said: Mapping[str, object]) -> SafeText:
-    return printable.lines(msgspec.json.encode(said).decode())
+def _line(document: Mapping[str, object]) -> SafeText:
+    return printable.lines(msgspec.json.encode(document).decode())
 
 
 @verb(
@@ -272,10 +282,16 @@ def federate_lines(
         UsageError: The fleet cannot be read or has another number of robots, or the run is not live.
         WriteFailed: A write failed; what is committed stays.
     """
-    given = names_of(settings) or ()
-    founded: dict[str, Any] = {"fleet": fleet, "robots": robots, "settings": given, "isolated": isolated, "of": of}
-    one = federate(out, run=run, origin=origin, key=key, cut=cut, **founded)
-    return Decisions(one, sys.stdin.buffer)
+    constants = names_of(settings) or ()
+    arguments: dict[str, Any] = {
+        "fleet": fleet,
+        "robots": robots,
+        "settings": constants,
+        "isolated": isolated,
+        "of": of,
+    }
+    federation = federate(out, run=run, origin=origin, key=key, cut=cut, **arguments)
+    return Decisions(federation, sys.stdin.buffer)
 
 
 RUN: Any = declare("RUN", "The run of a robot alone: its number, its name, or a unique part of it.", "the newest")

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 LINES = (".ndjson", ".jsonl")
 SUFFIXES = (".csv", ".parquet", *LINES)
 GROUP_ROWS, GROUP_BYTES = 122_880, 64 << 20
-"""Rows of a row group of Parquet, as many as DuckDB takes; bytes in memory after which none waits for more."""
+"""Rows of a row group of Parquet, as many as in DuckDB; bytes in memory at which a group is written unfilled."""
 
 
 def write_events(
@@ -126,10 +126,10 @@ def _write_tables(out: Path, schema: pa.Schema, tables: Iterable[pa.Table], *, r
     return rows
 
 
-def _write_parquet(place: Path, schema: pa.Schema, tables: Iterable[pa.Table]) -> None:
+def _write_parquet(path: Path, schema: pa.Schema, tables: Iterable[pa.Table]) -> None:
     dictionary, encoding = _parquet_columns(schema)
     with (
-        place.open("wb") as file,  # pyarrow would expand a leading `~`
+        path.open("wb") as file,  # pyarrow would expand a leading `~`
         pq.ParquetWriter(
             file, schema, compression="zstd", use_dictionary=dictionary, column_encoding=encoding
         ) as writer,
@@ -158,17 +158,17 @@ def _parquet_columns(schema: pa.Schema) -> tuple[list[str], dict[str, str]]:
     sink = pa.BufferOutputStream()
     pq.write_table(schema.empty_table(), sink)
     stored = pq.ParquetFile(sink.getvalue()).schema
-    columns = [stored.column(at) for at in range(len(stored))]
-    encoding = {one.path: "DELTA_BINARY_PACKED" for one in columns if one.physical_type in ("INT32", "INT64")}
-    return [one.path for one in columns if one.physical_type == "BYTE_ARRAY"], encoding
+    columns = [stored.column(index) for index in range(len(stored))]
+    encoding = {column.path: "DELTA_BINARY_PACKED" for column in columns if column.physical_type in ("INT32", "INT64")}
+    return [column.path for column in columns if column.physical_type == "BYTE_ARRAY"], encoding
 
 
-def _write_csv(place: Path, schema: pa.Schema, tables: Iterable[pa.Table], *, raw: bool) -> None:
+def _write_csv(path: Path, schema: pa.Schema, tables: Iterable[pa.Table], *, raw: bool) -> None:
     fields = partial(_fields, raw=raw)
     # Text is quoted and NULL is not, so that an empty text differs from NULL; names of columns need no quotes.
     options = pa_csv.WriteOptions(quoting_header="none")
     empty = fields(pa.RecordBatch.from_pylist([], schema)).schema
-    with place.open("wb") as file, pa_csv.CSVWriter(file, empty, write_options=options) as writer:
+    with path.open("wb") as file, pa_csv.CSVWriter(file, empty, write_options=options) as writer:
         for batch in in_turn(fields, _slices(tables)):
             writer.write_batch(batch)
 
@@ -211,9 +211,9 @@ def whole_file(out: Path) -> Iterator[Path]:
 
 
 FORMATS: Mapping[str, str] = {"ocel": ".json", "otlp": ".json", "mcap": ".mcap", "perfetto": ".json", "delta": ""}
-"""By format, how the name of its file ends; the last is a folder."""
+"""The file suffix of each format; the last is a folder."""
 EXTRAS = {"mcap": "mcap", "deltalake": "lake"}
-"""By library that only one format needs, the extra of the package that has it."""
+"""The extra of the package for each library that only one format needs."""
 
 
 def write_as(
@@ -270,7 +270,9 @@ def _written(view: "View", file: Path, format: str, run: str | None, progress: P
         runs = _runs(view, progress) if run is None else [record_of(view, run)]
         if format == "otlp":
             return documents.write_otlp(temporary, runs)
-        return documents.write_ocel(temporary, runs, {name: at for at, name in enumerate(view.run_names.runs, start=1)})
+        return documents.write_ocel(
+            temporary, runs, {name: number for number, name in enumerate(view.run_names.runs, start=1)}
+        )
 
 
 def _runs(view: "View", progress: Progress | None) -> "Iterator[LedgerRun]":
@@ -286,7 +288,7 @@ def _runs(view: "View", progress: Progress | None) -> "Iterator[LedgerRun]":
 def _tables(view: "View", run: str | None, progress: Progress | None) -> Iterable[pa.Table]:
     """Yield the stored rows, or those of one run, a table for each segment that has any."""
     runs = [] if run is None else chain_of(view, run)
-    parts = [part for one in runs for part in view.parts(one)]
+    parts = [part for name in runs for part in view.parts(name)]
     for number in each(range(len(view.releases)) if run is None else view.segments_of(parts), progress):
         table = view.table(number)
         yield table if run is None else table.filter(pc.is_in(table.column("run_id"), pa.array(runs)))

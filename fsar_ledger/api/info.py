@@ -1,7 +1,7 @@
-"""The verb `info`: what a ledger holds, its plans, which of their runs are there, and which worlds they met.
+"""The verb `info`: the contents of a ledger, its plans, which of their runs exist, and which worlds they met.
 
-A plan on record says what is missing. Without one (live runs, ledgers from before plans were recorded) nothing does;
-then the summary describes the shape of what is there, and never says that it is complete.
+A plan on record shows what is missing. Without one (live runs, ledgers older than plans), the summary describes the
+shape of what exists, and never calls it complete.
 """
 
 from collections.abc import Iterator, Mapping
@@ -88,7 +88,7 @@ COLUMNS = (
     *("constants", "seed", "fleet_size", "architecture", "configuration", "changes", "scenarios", "runs"),
     *("runs_unplanned", "runs_to_rectangle", "events", "numbers"),
 )
-"""The columns of `groups` that people are shown."""
+"""The columns of `groups` that are shown as text."""
 
 
 class Contents(Answer, msgspec.Struct, frozen=True):
@@ -107,10 +107,10 @@ class Contents(Answer, msgspec.Struct, frozen=True):
     provenance: "Provenance"
     not_observed: tuple["Unobserved", ...] = ()
     begins: Mapping[str, Any] | None = None
-    """How many runs know their time of day, and the first and last at which one begins; None if none does."""
+    """How many runs have a time of day, and when the first and the last begin; None if none has."""
 
     shards: list[dict[str, Any]] = []
-    """Of a federation, the origin, folder and head of each shard."""
+    """The origin, folder and head of each shard of a federation."""
 
     @property
     def run_count(self) -> int:
@@ -120,20 +120,20 @@ class Contents(Answer, msgspec.Struct, frozen=True):
     @property
     def unplanned(self) -> dict[str, int]:
         """Count, by kind, the runs that no plan names."""
-        found: dict[str, int] = {}
+        counts: dict[str, int] = {}
         for group in self.groups:
-            found[group["kind"]] = found.get(group["kind"], 0) + group["runs_unplanned"]
-        return {kind: count for kind, count in found.items() if count}
+            counts[group["kind"]] = counts.get(group["kind"], 0) + group["runs_unplanned"]
+        return {kind: count for kind, count in counts.items() if count}
 
     @property
     def is_complete(self) -> bool | None:
-        """Return whether all planned runs are there; None without a plan, or beside runs that no plan names."""
+        """Return whether all planned runs exist; None without a plan, or if no plan names some run."""
         if any(plan["missing_count"] for plan in self.plans):
             return False
         return None if self.unplanned or not self.plans else True
 
     def document(self, screen: Screen) -> Mapping[str, object]:
-        """Return all of it."""
+        """Return all fields."""
         assert self.provenance.head is not None  # only rows in memory have none
         return {
             "ledger": str(screen.path),
@@ -151,16 +151,16 @@ class Contents(Answer, msgspec.Struct, frozen=True):
         }
 
     def text(self, screen: Screen) -> Iterator[printable.SafeText]:
-        """Yield what is there without the parameters, which are too many."""
+        """Yield the contents without the parameters, which are too many."""
         head = self.provenance.head
         assert head is not None
-        standing = "" if self.provenance.rows_verified else " (the rows were not compared with it)"
-        held = f"{counted(head.size, 'event')} in {counted(head.commits, 'commit')}"
+        remark = "" if self.provenance.rows_verified else " (the rows were not compared with it)"
+        contents = f"{counted(head.size, 'event')} in {counted(head.commits, 'commit')}"
         if self.shards:
-            held = f"{counted(head.events, 'event')} in {counted(len(self.shards), 'shard')}"
+            contents = f"{counted(head.events, 'event')} in {counted(len(self.shards), 'shard')}"
         yield printable.lines(
-            f"{screen.path}: {held}",
-            f"root {head.root}{standing}",
+            f"{screen.path}: {contents}",
+            f"root {head.root}{remark}",
             *self.summary(),
         )
         if rows := self.rows():
@@ -173,8 +173,8 @@ class Contents(Answer, msgspec.Struct, frozen=True):
 
         yield from self._standing()
         if forks := sum(group["runs"] for group in self.groups if group["changes"] is not None):
-            said = f"{counted(forks, 'fork')} among them" if forks < self.run_count else "all of them forks"
-            yield f"{said}; the query forks says of which runs, and how far they repeat them"
+            forked = f"{counted(forks, 'fork')} among them" if forks < self.run_count else "all of them forks"
+            yield f"{forked}; the query forks says of which runs, and how far they repeat them"
         if begins := self.begins:
             dated, first, last = begins["runs"], begins["first"], begins["last"]
             several = f"{counted(dated, 'run')} with a time of day begin from {first} to {last}"
@@ -199,24 +199,24 @@ class Contents(Answer, msgspec.Struct, frozen=True):
             yield f"not observed, so that no answer is about it: {shown(self.not_observed)}"
 
     def _standing(self) -> Iterator[str]:
-        held = counted(self.run_count, "run")
+        total = counted(self.run_count, "run")
         if not self.plans:
-            nothing = "no plan is on record, so nothing says whether they are all that was meant"
-            yield f"{held}; {nothing}" if self.groups else "no runs yet, and no plan on record"
+            remark = "no plan is on record, so nothing says whether they are all that was meant"
+            yield f"{total}; {remark}" if self.groups else "no runs yet, and no plan on record"
             return
         of_plans = "complete: all that was planned is there"
         if self.is_complete is False:
             lacking = "" if self.missing is None else f": {counted(self.missing, 'planned run')} {_are(self.missing)}"
             of_plans = f"not complete{lacking and f'{lacking} missing'}"
         if not self.unplanned:
-            yield f"{held}, {of_plans}"
+            yield f"{total}, {of_plans}"
             return
         kinds = ", ".join(f"{count:,} {printable.value(kind)}" for kind, count in self.unplanned.items())
-        yield from (held, f"planned runs: {of_plans}")
+        yield from (total, f"planned runs: {of_plans}")
         yield f"other runs: {kinds}; no plan names them, so nothing says whether they are all that was meant"
 
     def _rectangle(self) -> Iterator[str]:
-        """Describe the shape of what is there, where no plan says what is missing."""
+        """Describe the shape of the runs, if no plan shows what is missing."""
         measured = [group["runs_to_rectangle"] for group in self.groups if group["runs_to_rectangle"] is not None]
         of_all = "each group {} all runs of all scenarios of its model, seed and fleet size"
         if missing := sum(measured):
@@ -225,7 +225,7 @@ class Contents(Answer, msgspec.Struct, frozen=True):
             yield f"a rectangle: {of_all.format('has')}"
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the groups as people are shown them, without columns that say nothing."""
+        """Return the groups as shown in text, without uninformative columns."""
         is_dull = {
             "constants": len(self.models) == 1,
             "runs_unplanned": not self.plans or not self.unplanned,
@@ -251,15 +251,15 @@ def info(ledger: "Ledger") -> Contents:
     from fsar_ledger.runtime.experiment_arguments import PlanRow, plans
 
     with ledger.database() as database:
-        found = lettered(models(database))
-        letters = {_key(structs.asdict(one)): letter for one, letter in found}
+        lettered_models = lettered(models(database))
+        letters = {_key(structs.asdict(model)): letter for model, letter in lettered_models}
         groups = [
             {"constants": letters.get(_key(row)), **row, "numbers": printable.ranges(row["numbers"])}
             for row in database.rows(GROUPS)
         ]
         view = open_for_answers(ledger.path)
         planned = plans(database, PlanRow(ledger.path, view))
-        named = [_of_model(one, letter) for one, letter in found]
+        described = [_of_model(model, letter) for model, letter in lettered_models]
         missing = completeness(database).missing
         provenance = Provenance(database.head, database.rows_verified)
         begins = next(iter(database.rows(BEGINS)), None)
@@ -267,20 +267,20 @@ def info(ledger: "Ledger") -> Contents:
             []
             if log_of(view) is view
             else [
-                {"origin": one.manifest.origin, "folder": str(one.path), **head_json(one.head)}
-                for one in views_of(view)
+                {"origin": shard.manifest.origin, "folder": str(shard.path), **head_json(shard.head)}
+                for shard in views_of(view)
             ]
         )
-        observed = tuple(never_observed(database))
-        return Contents(groups, named, planned, missing, provenance, observed, begins, shards)
+        unobserved = tuple(never_observed(database))
+        return Contents(groups, described, planned, missing, provenance, unobserved, begins, shards)
 
 
 def _unfinished(plan: Mapping[str, Any]) -> str:
-    """Describe a plan that lacks runs, and how to go on."""
+    """Describe a plan that lacks runs, and how to continue it."""
     from fsar_ledger.runtime.experiment_arguments import shape
 
-    further = plan["continues_with"]
-    go_on = f"with: {further}" if further else "with the version and the constants that began it"
+    command = plan["continues_with"]
+    go_on = f"with: {command}" if command else "with the version and the constants that began it"
     of_plan = f"{plan['there_count']:,} of {plan['planned_count']:,} runs of {shape(plan)}"
     return f"interrupted, or still at work: {of_plan}; go on {go_on}"
 
@@ -293,11 +293,11 @@ def _key(row: Mapping[str, Any]) -> tuple[str | None, ...]:
     return row["kind"], row["source"], row["model_version"], row["parameter_set"]
 
 
-def _of_model(one: "Model", letter: str | None) -> dict[str, Any]:
+def _of_model(model: "Model", letter: str | None) -> dict[str, Any]:
     """Describe a model for JSON; `differing` names its constants that differ from others of its kind and version."""
-    told = {name: getattr(one, name) for name in ("kind", "source", "model_version", "runs")}
-    what = {"differing": one.constants, "parameters": one.parameters, "parameters_sha256": one.sha256}
-    return {"constants": letter, **told, **what}
+    identity = {name: getattr(model, name) for name in ("kind", "source", "model_version", "runs")}
+    parameters = {"differing": model.constants, "parameters": model.parameters, "parameters_sha256": model.sha256}
+    return {"constants": letter, **identity, **parameters}
 
 
 def _described(model: Mapping[str, Any]) -> str:

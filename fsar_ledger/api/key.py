@@ -1,4 +1,4 @@
-"""The verbs `key` and `witness`: who signs a ledger under which name, and who watches that it only grows."""
+"""The verbs `key` and `witness`: keys that sign ledgers, and witnesses that check that they only grow."""
 
 import os
 import re
@@ -120,7 +120,7 @@ def trusted_of(key: str | None) -> "VerifierKey | None":
 def anchor_of(file: str | PathLike[str] | None, trusted: "VerifierKey | None" = None) -> "Anchor | None":
     """Read the kept checkpoint in this file, if one was given.
 
-    Raises: UsageError if it is not a checkpoint, or if there is a trusted key, which did not sign it.
+    Raises: UsageError if it is not a checkpoint, or not signed by the trusted key, if there is one.
     """
     from fsar_ledger.ledger.log.note import doubt
     from fsar_ledger.ledger.verify.report import read_anchor
@@ -169,7 +169,7 @@ def root_of(text: str | None) -> str | None:
 
 
 def signature_text(state: str, signer: str | None) -> str:
-    """Return what the signature of a note is worth, in words.
+    """Describe the signature of a note.
 
     `signer` is the trusted key that made it, or the one that the note names.
     """
@@ -203,13 +203,13 @@ def witness_new(
 
 
 class ServedWitness(Answer):
-    """A server of a witness; to show the answer is to serve until SIGTERM or Ctrl-C."""
+    """A witness server; showing the answer serves until SIGTERM or Ctrl-C."""
 
     def __init__(self, state: Path, logs: Sequence[str], host: str, port: int, **given: "Callable[..., Any]") -> None:
         self._state, self._logs, self._host, self._port, self._given = state, logs, host, port, given
 
     def text(self, _: Screen) -> Iterator[SafeText]:
-        """Show the public key and the URL, then serve; nothing is left to yield."""
+        """Show the public key and the URL, then serve; yields nothing."""
         from fsar_ledger.witness import read_log_key
         from fsar_ledger.witness.server import Service, WitnessServer
         from fsar_ledger.witness.state import open_state
@@ -225,14 +225,14 @@ class ServedWitness(Answer):
         with open_state(self._state) as state:
             service = Service(state, logs, self._given["clock"], tell)
             with WitnessServer(self._host, self._port, service, self._given["ticks"]) as server:
-                before = signal.signal(signal.SIGTERM, end)
+                previous = signal.signal(signal.SIGTERM, end)
                 try:
                     self._given["show"](printable.lines(str(state.cosigner.key), server.url))
                     server.serve_forever(poll_interval=0.1)
                 except KeyboardInterrupt:
                     tell("ended")
                 finally:
-                    signal.signal(signal.SIGTERM, before)
+                    signal.signal(signal.SIGTERM, previous)
         yield from ()
 
 
@@ -277,13 +277,15 @@ def _ask(
 
     if out is not None:
         require_outside(Path(out), f"--out {out}")
-    found = witness_ask(ledger, policy)
-    say(*(f"{name}: {reason}" for name, reason in found.silent.items()))
+    cosigned = witness_ask(ledger, policy)
+    say(*(f"{name}: {reason}" for name, reason in cosigned.silent.items()))
     if out is None:
-        return Plain(str(found.note))
-    write_text(Path(out), str(found.note))
-    tree = found.note.checkpoint
-    return Lines(f"{out}: {tree.size:,} events, cosigned by {listed(found.times)}", f"root {tree.root.hex()}")
+        return Plain(str(cosigned.note))
+    write_text(Path(out), str(cosigned.note))
+    checkpoint = cosigned.note.checkpoint
+    return Lines(
+        f"{out}: {checkpoint.size:,} events, cosigned by {listed(cosigned.times)}", f"root {checkpoint.root.hex()}"
+    )
 
 
 @verb(
@@ -309,12 +311,12 @@ def witness_ask(
     from fsar_ledger.witness.cosign import cosign
     from fsar_ledger.witness.policy import read_policy
 
-    read = read_policy(Path(policy))
-    found = cosign(ledger.path, read)
-    if not read.is_met(set(found.times)):
-        refusals = "; ".join(f"{name}: {reason}" for name, reason in found.silent.items())
+    rules = read_policy(Path(policy))
+    cosigned = cosign(ledger.path, rules)
+    if not rules.is_met(set(cosigned.times)):
+        refusals = "; ".join(f"{name}: {reason}" for name, reason in cosigned.silent.items())
         raise NotCosigned(
-            f"{policy}: found {listed(found.times) or 'no cosignature'} ({refusals}), expected {read.rule()}; "
+            f"{policy}: found {listed(cosigned.times) or 'no cosignature'} ({refusals}), expected {rules.rule()}; "
             "nothing was written, try again or look into it"
         )
-    return found
+    return cosigned

@@ -64,7 +64,7 @@ class Ledger:
 
     @property
     def demands(self) -> bool:
-        """Return whether answers about any other head than one are refused."""
+        """Return whether answers about all heads but one are refused."""
         return self._demanded is not None
 
     @property
@@ -79,7 +79,7 @@ class Ledger:
         """Return the present head: commits, events and the root over them. Raises: As `open_ledger`."""
         return open_for_answers(self.path).head
 
-    # --- what it holds ---
+    # --- contents ---
 
     info = _info.info
 
@@ -124,19 +124,19 @@ class Ledger:
 
     @contextmanager
     def about_run(self, run: Run | None, action: str | None = None, *, is_whole: bool = False) -> "Iterator[AboutRun]":
-        """Yield what there is about one run; without a run, the database is perhaps over all events.
+        """Yield a database about one run; without `run`, it may cover all events.
 
         Args:
             run: The run; None: the only one with this action or, without an action, the first.
-            action: As `run` says.
-            is_whole: With the runs that continue it.
+            action: An action of the run, if `run` is None.
+            is_whole: Include the runs that continue it.
 
         Raises:
             UsageError: There is no such run, or none or several have the action.
         """
         if run is not None or not action:
-            with about_run(open_for_answers(self.path), run, self.demanded, is_whole=is_whole) as found:
-                yield found
+            with about_run(open_for_answers(self.path), run, self.demanded, is_whole=is_whole) as about:
+                yield about
             return
         from .explain import run_with
 
@@ -144,14 +144,14 @@ class Ledger:
             name = run_with(database, self.path, action)
             yield AboutRun(database, name, numbers_of(database).get(name))
 
-    # --- questions ---
+    # --- queries ---
 
     def query(self, name: str, /, **parameters: object) -> "Table":
         """Answer a packaged query (`queries()` lists them); a parameter of None has its default.
 
         Raises:
             UnknownQuery: There is no query or parameter of this name.
-            UsageError: A parameter names nothing that there is, or is no time of the run.
+            UsageError: A parameter names nothing in the ledger, or is not a time of the run.
         """
         from fsar_ledger.metrics.library import library
         from fsar_ledger.metrics.provenance import of_rows
@@ -159,19 +159,19 @@ class Ledger:
         from .table import Table
 
         query = library().find(name)
-        runs = {one.name: one.default for one in query.parameters.values() if one.kind == "run"}
-        asked = {one: parameters[one] for one in runs if parameters.get(one) not in (None, runs[one])}
+        runs = {parameter.name: parameter.default for parameter in query.parameters.values() if parameter.kind == "run"}
+        chosen = {name: parameters[name] for name in runs if parameters.get(name) not in (None, runs[name])}
         with ExitStack() as stack:
-            if asked:  # a question about one run reads that run
-                [(parameter, run)] = asked.items()
+            if chosen:  # a query about one run reads that run only
+                [(parameter, run)] = chosen.items()
                 view = open_for_answers(self.path)
                 database, full, _ = stack.enter_context(about_run(view, run, self.demanded, is_whole=True))
                 parameters = {**parameters, parameter: full}
             else:
                 database = stack.enter_context(self.database())
-            given = parameters_of(database, query, parameters, self.path)
-            rows = database.query(name, given)
-            return Table(rows, of_rows(database, query, full if asked else None))
+            values = parameters_of(database, query, parameters, self.path)
+            rows = database.query(name, values)
+            return Table(rows, of_rows(database, query, full if chosen else None))
 
     def queries(self, *, all: bool = False) -> "Table":
         """Return the packaged queries by group, each with its title and its parameters.
@@ -187,20 +187,20 @@ class Ledger:
 
         from .table import Table
 
-        found = listed(events=all)
+        queries = listed(events=all)
         columns = {
-            "group": pa.array([group_of(one) for one in found], pa.string()),
-            "name": pa.array([one.name for one in found], pa.string()),
-            "title": pa.array([one.header["Title"] for one in found], pa.string()),
+            "group": pa.array([group_of(query) for query in queries], pa.string()),
+            "name": pa.array([query.name for query in queries], pa.string()),
+            "title": pa.array([query.header["Title"] for query in queries], pa.string()),
             "parameters": pa.array(
-                [[(each.name, each.default) for each in one.parameters.values()] for one in found],
+                [[(parameter.name, parameter.default) for parameter in query.parameters.values()] for query in queries],
                 pa.map_(pa.string(), pa.string()),
             ),
         }
         return Table(pa.table(columns))
 
     def query_text(self, name: str) -> str:
-        """Return the SQL of a packaged query with its header, which says what its rows and its NULLs mean.
+        """Return the SQL of a packaged query with its header, which explains its rows and NULLs.
 
         Raises:
             UnknownQuery: There is no query of this name.
@@ -276,7 +276,7 @@ def demanded_head(ledger: Path, *, verified: bool, progress: Progress | None = N
     A remembered comparison is not repeated.
 
     Raises:
-        LedgerCorrupted: The comparison found something.
+        LedgerCorrupted: The comparison found a problem.
         NotALedger, FormatVersionMismatch: As `open_for_answers`.
     """
     if not verified:
@@ -301,5 +301,5 @@ def open_ledger(path: Place, *, verified: bool = False, progress: Progress | Non
     demanded = demanded_head(Path(path), verified=verified, progress=progress)
     view = open_for_answers(Path(path)) if verified else open_checked(Path(path))
     if verified:
-        view.segments()  # what is remembered was perhaps compared in another place, and this is an altered copy
+        view.segments()  # the remembered comparison may be of another folder, and this an altered copy
     return Ledger(path, demanded=demanded)

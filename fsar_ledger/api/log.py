@@ -21,20 +21,20 @@ if TYPE_CHECKING:
     from .table import Table
 
 ALL = "all"
-"""Instead of the name of a run: all runs."""
+"""The name that selects all runs."""
 UNKNOWN = "?"
 MAX_WORDS = 1_000
 BESIDE = 25
 """Characters of a line beside its action, names and words: seq, time and gaps."""
 LOOK_EVERY_S = 0.5
-"""Seconds between two looks for more commits."""
+"""Seconds between two checks for more commits."""
 
 
 class Timeline(Answer):
-    """Lines of events, as they are read: those of one run after another."""
+    """Lines of events in the order they are read, one run after another."""
 
     def __init__(self, tables: "Iterable[Table]", *, as_json: bool, ends: bool) -> None:
-        """Read the first. `ends` says whether it can be said that there are none."""
+        """Read the first table. `ends`: whether the lines end, so that having none can be reported."""
         rest = iter(tables)
         first = next(rest, None)
         self._tables = chain([] if first is None else [first], rest)
@@ -144,11 +144,11 @@ def stream_log(
 ) -> "Iterator[Table]":
     """Yield the lines of all runs, as `log`, a table for each commit; with `pause`, go on as the ledger grows.
 
-    `pause` is called before each look for more commits, to wait a moment; None: end after those that are there. The
-    others are as in `log`.
+    `pause` is called before each check for more commits, to wait; None: end after the present ones. The others are as
+    in `log`.
 
     Raises:
-        UsageError: As `log`; or `pause` is given, and only rows that were compared with the root will do.
+        UsageError: As `log`; or `pause` is given, but the ledger demands rows that were compared with the root.
         LedgerCorrupted: The ledger was damaged or replaced.
     """
     from .events import about_of, asked_of, stream
@@ -165,7 +165,7 @@ def stream_log(
 
 
 class Lines:
-    """The lines of one run after another, aligned with those before, each run under its number and name."""
+    """A formatter of lines, run after run, aligned with earlier lines, each run under its number and name."""
 
     def __init__(self, screen: Screen) -> None:
         self.run: str | None = None
@@ -174,29 +174,29 @@ class Lines:
 
     def text(self, rows: Sequence[dict[str, Any]]) -> SafeText:
         """Return the rows as lines, under the name of their run."""
-        shown = [_shown(row) for row in rows]
-        before = self._widths
+        texts = [_shown(row) for row in rows]
+        previous = self._widths
         self._widths = (
-            max([before[0], *(len(action) for action, _, _ in shown)]),
-            max([before[1], *(len(names) for _, names, _ in shown)]),
+            max([previous[0], *(len(action) for action, _, _ in texts)]),
+            max([previous[1], *(len(names) for _, names, _ in texts)]),
         )
-        return printable.lines(*self._lines(rows, shown))
+        return printable.lines(*self._lines(rows, texts))
 
-    def _lines(self, rows: Sequence[dict[str, Any]], shown: Sequence[tuple[str, str, str]]) -> Iterator[str]:
-        of_action, longest = self._widths
-        of_names = self._screen.width_of_names(longest, BESIDE + of_action)
-        for row, (action, names, words) in zip(rows, shown, strict=True):
+    def _lines(self, rows: Sequence[dict[str, Any]], texts: Sequence[tuple[str, str, str]]) -> Iterator[str]:
+        action_width, longest = self._widths
+        names_width = self._screen.width_of_names(longest, BESIDE + action_width)
+        for row, (action, names, words) in zip(rows, texts, strict=True):
             if row["run_id"] != self.run:
                 yield from ([] if self.run is None else [""])
                 self.run = row["run_id"]
                 yield self._screen.run_text(self.run)
                 yield ""
             when = f"{row['time_s']:>10.3f} s" if row["clock"] is None else row["clock"]
-            yield f"{row['seq']:>6} {when}  {action:<{of_action}}  {names:<{of_names}}  {words}"
+            yield f"{row['seq']:>6} {when}  {action:<{action_width}}  {names:<{names_width}}  {words}"
 
 
 def _shown(row: dict[str, Any]) -> tuple[str, str, str]:
-    """Return the action, who tells whom, and the words with their note, as people see them."""
+    """Return the action, who tells whom, and the words with their note, as printable text."""
     sender, receiver, action = (
         None if row[name] is None else printable.value(row[name]) for name in ("sender", "receiver", "action_id")
     )

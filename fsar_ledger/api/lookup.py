@@ -1,4 +1,4 @@
-"""Look up what a question names, as the ledger names it: runs, robots, actions, times and the rest of parameters."""
+"""Resolve what a query names to the names in the ledger: runs, robots, actions, times and other parameters."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -46,7 +46,7 @@ NOT_COMPARED = (
 
 @contextmanager
 def resting_on_rows(rows_verified: bool | None) -> Iterator[None]:
-    """Let an error that says what a ledger does not hold add that its rows were not compared with the root, if so.
+    """Add to an error about something missing from a ledger that its rows were not compared with the root, if so.
 
     None: there is no root.
     """
@@ -59,7 +59,7 @@ def resting_on_rows(rows_verified: bool | None) -> Iterator[None]:
 
 
 class AboutRun(NamedTuple):
-    """A run that was asked for: a database over its events, its full name, and its number (None: it has none)."""
+    """A requested run: a database over its events, its full name, and its number (None: it has none)."""
 
     database: "Database"
     run: str
@@ -102,12 +102,12 @@ def resolve_run_in(view: "View", asked: object, demanded: str | None) -> str:
 
 
 def no_run(ledger: Path) -> str:
-    """Say that a ledger has no run."""
+    """Return the error text for a ledger without runs."""
     return f"{ledger}: found no run, so there is nothing to explain"
 
 
 def resolve_or_first(view: "View", asked: object, demanded: str | None) -> str:
-    """Return the full name of the run that was asked for, or of the first, with those that continue it.
+    """Return the full name of the requested run, or of the first, with those that continue it.
 
     Raises: UsageError if there is none, or as `is_verified`.
     """
@@ -126,7 +126,7 @@ def resolve_or_first(view: "View", asked: object, demanded: str | None) -> str:
 
 @contextmanager
 def about_run(view: "View", asked: object, demanded: str | None, *, is_whole: bool = False) -> Iterator[AboutRun]:
-    """Yield what there is about a run, the first if none is asked for; `is_whole`: with the runs that continue it.
+    """Yield a database about a run, by default the first; `is_whole`: with the runs that continue it.
 
     Raises:
         UsageError: As `resolve_or_first`.
@@ -143,7 +143,7 @@ def about_run(view: "View", asked: object, demanded: str | None, *, is_whole: bo
 
 
 def numbers_of(database: "Database") -> dict[str, int]:
-    """Return the number that names each run, for `resolve_run`; none that is itself the name of a run or a plan."""
+    """Return the number of each run, for `resolve_run`, unless it is itself the name of a run or a plan."""
     return {row["run_id"]: row["number"] for row in database.rows(_NUMBERS)}
 
 
@@ -153,7 +153,7 @@ def robot_of(database: "Database", asked: str, run: str | None) -> str:
 
 
 def clock(started: object, time_us: int) -> str | None:
-    """Return the time of day of a time in the run that this event begins, None where it does not know its epoch."""
+    """Return the time of day of a time in the run that this event begins; None if the event has no epoch."""
     epoch = getattr(started, "epoch", None)
     if epoch is None:
         return None
@@ -164,23 +164,23 @@ def clock(started: object, time_us: int) -> str | None:
 def run_time(database: "Database", what: str, asked: Time, run: str | None) -> Time:
     """Return a time of day, such as `2026-03-01T10:00Z`, as seconds of run time; any other time as it is.
 
-    Raises: UsageError if the run does not know when it began, or began later.
+    Raises: UsageError if the run has no epoch, or began later.
     """
     if not isinstance(asked, str) or not _CLOCK.fullmatch(asked.strip()):
         return asked
-    shown = printable.value(asked, 80)
+    text = printable.value(asked, 80)
     try:
         when = utc.parsed(asked.strip())
     except ValueError as error:
-        raise UsageError(f"{what}: found {shown}, expected a time such as 2026-03-01T10:00Z") from error
+        raise UsageError(f"{what}: found {text}, expected a time such as 2026-03-01T10:00Z") from error
     rows = database.rows("SELECT epoch FROM run_epochs WHERE run_id = $run", {"run": run})
     if not rows:
         of = "every run" if run is None else f"run {printable.value(run)}, which does not know when it began"
-        raise UsageError(f"{what}: found the time of day {shown} for {of}; expected seconds of run time, as 46.6s")
+        raise UsageError(f"{what}: found the time of day {text} for {of}; expected seconds of run time, as 46.6s")
     epoch = rows[0]["epoch"].replace(tzinfo=UTC)
     seconds = (when - epoch) / timedelta(seconds=1)
     if seconds < 0:
-        raise UsageError(f"{what}: found {shown}, expected a time after the run began, {epoch.isoformat()}")
+        raise UsageError(f"{what}: found {text}, expected a time after the run began, {epoch.isoformat()}")
     return f"{seconds:.6f}"
 
 
@@ -201,50 +201,50 @@ def time_of(database: "Database", what: str, asked: Time, run: str | None) -> in
 
 
 def parameters_of(database: "Database", query: "Query", given: Mapping[str, object], ledger: Path) -> dict[str, str]:
-    """Return what the SQL of a query gets for these parameters, each understood by its kind; None: its default.
+    """Return the SQL values of these parameters of a query, each interpreted by its kind; None: its default.
 
     Raises:
         UnknownQuery: The query has no parameter of a name.
-        UsageError: A value names nothing that there is, or is no time of the run.
+        UsageError: A value names nothing in the ledger, or is not a time of the run.
     """
     require_known(query.name, query.parameters, given, query.parameters)
     texts = {
         name: value if isinstance(value, str) else f"{value!r}" for name, value in given.items() if value is not None
     }
     run = None
-    found: dict[str, str] = {}
-    for one in sorted(query.parameters.values(), key=lambda one: one.kind != "run"):
-        text = texts.get(one.name, one.default)
-        if text is None or text == one.default:
+    values: dict[str, str] = {}
+    for parameter in sorted(query.parameters.values(), key=lambda parameter: parameter.kind != "run"):
+        text = texts.get(parameter.name, parameter.default)
+        if text is None or text == parameter.default:
             continue
-        if one.kind == "run":
-            found[one.sql_name] = run = resolve_run(database, given[one.name], ledger)
+        if parameter.kind == "run":
+            values[parameter.sql_name] = run = resolve_run(database, given[parameter.name], ledger)
         else:
-            found[one.sql_name] = _value(database, one, text, run)
-    return found
+            values[parameter.sql_name] = _value(database, parameter, text, run)
+    return values
 
 
-def _named(database: "Database", kind: str, asked: str, run: str | None) -> str:
+def _named(database: "Database", kind: str, name: str, run: str | None) -> str:
     names, what = names_on_record(database, kind, run), _WORDS.get(kind, kind)
     with resting_on_rows(database.rows_verified):
-        return principal_named(what, asked, names) if kind in PRINCIPALS else named(what, asked, names)
+        return principal_named(what, name, names) if kind in PRINCIPALS else named(what, name, names)
 
 
-def _value(database: "Database", one: "Parameter", text: str, run: str | None) -> str:
-    """Return what the SQL gets for this text of a parameter. Raises: UsageError."""
-    if one.kind == TIME:
-        return str(time_of(database, one.name, text, run))
-    if one.kind == "seq":
+def _value(database: "Database", parameter: "Parameter", text: str, run: str | None) -> str:
+    """Return the SQL value of this text of a parameter. Raises: UsageError."""
+    if parameter.kind == TIME:
+        return str(time_of(database, parameter.name, text, run))
+    if parameter.kind == "seq":
         return _seq(database, text, run)
-    return _named(database, one.kind, text, run)
+    return _named(database, parameter.kind, text, run)
 
 
 def _seq(database: "Database", text: str, run: str | None) -> str:
     """Return the seq of an event of this run, or of any. Raises: UsageError if there is none."""
     (extent,) = database.rows(_EXTENT, {"run": run})
-    most = -1 if extent["seq"] is None else extent["seq"]
-    if not (text.isascii() and text.isdecimal() and len(text) <= MAX_DIGITS and int(text) <= most):
-        expected = f"a number from 0 to {most}" if most >= 0 else "none: there is no event"
+    last = -1 if extent["seq"] is None else extent["seq"]
+    if not (text.isascii() and text.isdecimal() and len(text) <= MAX_DIGITS and int(text) <= last):
+        expected = f"a number from 0 to {last}" if last >= 0 else "none: there is no event"
         of = "of any run" if run is None else f"of run {printable.value(run)}"
         with resting_on_rows(database.rows_verified):
             raise UsageError(f"seq {printable.value(text)}: there is no such event {of}, expected {expected}")

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 DAMAGED = 3
 SHOWN = 10
-"""Lines of each kind that people are shown."""
+"""Lines of each kind that are shown as text."""
 
 
 class RecoverResult(Answer, msgspec.Struct, frozen=True):
-    """What `recover` found and did in a ledger, what was asked for, and the new folder."""
+    """The findings and repairs of `recover` in a ledger, its options, and the new folder."""
 
     ledger: Path
     found: "Recovery"
@@ -39,7 +39,7 @@ class RecoverResult(Answer, msgspec.Struct, frozen=True):
 
     @property
     def exit_code(self) -> int:
-        """3 where the ledger is damaged and nothing was copied, or a shard is not whole."""
+        """3 if the ledger is damaged and nothing was copied, or a shard is not whole."""
         return DAMAGED if self.found.outcome == "damaged" or self.found.shards else 0
 
     def document(self, _: Screen) -> Mapping[str, object]:
@@ -50,41 +50,44 @@ class RecoverResult(Answer, msgspec.Struct, frozen=True):
 
     def text(self, _: Screen) -> Iterator[SafeText]:
         """Yield what was found, what was done, what can be trusted and what to do next."""
-        ledger, found, into = self.ledger, self.found, self.into
-        if found.report is not None and not found.problems:
-            done = "mended; nothing was deleted" if found.steps else "whole, there is nothing to mend"
-            lines = [f"{ledger}: {done}{'; its shards are not all whole' if found.shards else ''}", *_done(found.steps)]
+        ledger, result, into = self.ledger, self.found, self.into
+        if result.report is not None and not result.problems:
+            done = "mended; nothing was deleted" if result.steps else "whole, there is nothing to mend"
+            lines = [
+                f"{ledger}: {done}{'; its shards are not all whole' if result.shards else ''}",
+                *_done(result.steps),
+            ]
             lines += ["trusted", *self._trusted()]
-            lines += ["next"] if found.steps or into is not None else []
-            lines += ["  the command that was interrupted continues when it is called again"] if found.steps else []
+            lines += ["next"] if result.steps or into is not None else []
+            lines += ["  the command that was interrupted continues when it is called again"] if result.steps else []
             lines += [f"  nothing was copied to {into}: {ledger} itself can be trusted"] if into is not None else []
-            lines += ["shards", *_some([f"  {problem}" for problem in found.shards])] if found.shards else []
-            lines += ["  fsar-ledger maintain recover SHARD mends one of them"] if found.shards else []
+            lines += ["shards", *_some([f"  {problem}" for problem in result.shards])] if result.shards else []
+            lines += ["  fsar-ledger maintain recover SHARD mends one of them"] if result.shards else []
         else:
-            where = found.problems[0].commit
-            place = f"commit {where:,}" if where is not None else found.problems[0].where
-            changed = "it was mended as far as possible" if found.steps else "nothing of it was changed"
-            lines = [f"{ledger}: damaged at {place}; {changed}"]
-            lines += ["found", *_some([f"  {problem}" for problem in found.problems]), *_done(found.steps)]
+            where = result.problems[0].commit
+            location = f"commit {where:,}" if where is not None else result.problems[0].where
+            changed = "it was mended as far as possible" if result.steps else "nothing of it was changed"
+            lines = [f"{ledger}: damaged at {location}; {changed}"]
+            lines += ["found", *_some([f"  {problem}" for problem in result.problems]), *_done(result.steps)]
             lines += ["trusted", *self._trusted()]
-            lines += ["after that, on its own", *_some(list(_later(found.later)))] if found.later else []
+            lines += ["after that, on its own", *_some(list(_later(result.later)))] if result.later else []
             lines += ["next", *self._next()]
         yield printable.lines(*lines)
 
     def _trusted(self) -> Iterator[str]:
         """Yield what can be trusted, and who vouches for it."""
-        found, head = self.found, self.found.head
+        result, head = self.found, self.found.head
         if head.commits:
             last = f"commit{'s 0 to' if head.commits > 1 else ''} {head.commits - 1:,}"
             yield f"  {last}: {head.size:,} events, up to run {printable.value(head.last_run or '')}"
             yield f"  root {head.root}"
             yield "  every row, hash and record of them was derived again and agrees"
         else:
-            yield "  no commit" if found.problems else "  it is empty"
+            yield "  no commit" if result.problems else "  it is empty"
         if self.asked.trusted is not None and head.commits:
             yield f"  {signature_text('signed', self.asked.trusted.key)}"
-        elif found.report is not None:
-            yield f"  {signature_text(found.report.signature, found.report.signer)}"
+        elif result.report is not None:
+            yield f"  {signature_text(result.report.signature, result.report.signer)}"
         note = self.asked.anchor.note if self.asked.anchor is not None else None
         if note is None:
             yield (
@@ -93,8 +96,8 @@ class RecoverResult(Answer, msgspec.Struct, frozen=True):
             )
         elif is_own_checkpoint(self.asked.anchor, self.ledger):
             yield f"  {OWN_CHECKPOINT}"
-        elif found.anchored is not None:
-            yield f"  the anchor vouches for the first {found.anchored:,} events"
+        elif result.anchored is not None:
+            yield f"  the anchor vouches for the first {result.anchored:,} events"
         elif head.commits and note.checkpoint.size > head.size:
             yield (
                 f"  the anchor knows of {note.checkpoint.size:,} events, and the stored hashes do not prove that it "
@@ -104,7 +107,7 @@ class RecoverResult(Answer, msgspec.Struct, frozen=True):
             yield "  the anchor vouches for none of it"
 
     def _next(self) -> Iterator[str]:
-        ledger, found, into = self.ledger, self.found, self.into
+        ledger, result, into = self.ledger, self.found, self.into
         if into is not None:
             yield (
                 f"  {into} holds what can be trusted, byte for byte, and verifies; {ledger} remains damaged, keep it "
@@ -113,9 +116,11 @@ class RecoverResult(Answer, msgspec.Struct, frozen=True):
             yield f"  fsar-ledger simulate {printable.word(into)} with the options of {ledger} continues there"
             return
         yield f"  keep {ledger} as it is: it is the evidence"
-        lost = dict.fromkeys((commit.file, commit.restore) for commit in found.later if commit.file is not None)
-        yield from _some([f"  {ledger / file} can be restored from a copy with SHA-256 {one}" for file, one in lost])
-        if found.head.commits:
+        lost = dict.fromkeys((commit.file, commit.restore) for commit in result.later if commit.file is not None)
+        yield from _some(
+            [f"  {ledger / file} can be restored from a copy with SHA-256 {sha256}" for file, sha256 in lost]
+        )
+        if result.head.commits:
             yield (
                 f"  fsar-ledger maintain recover {printable.word(ledger)} --into NEW copies what can be trusted to a "
                 "new ledger; simulate NEW continues there"
@@ -139,13 +144,13 @@ def _recovered(
     from fsar_ledger.ledger.verify.report import VerifyOptions
 
     trusted = trusted_of(trusted_key)
-    asked = VerifyOptions(trusted=trusted, anchor=anchor_of(anchor, trusted))
+    options = VerifyOptions(trusted=trusted, anchor=anchor_of(anchor, trusted))
     new = None if into is None else Path(into)
     readers = readers_of(workers, ledger.path)
-    found = recover(ledger.path, readers, progress, asked, new)
-    if found.outcome in ("whole", "mended") and is_log(view := open_checked(ledger.path)):
-        found = msgspec.structs.replace(found, shards=tuple(shards_to_recover(view, readers, progress)))
-    return RecoverResult(ledger.path, found, asked, new)
+    recovery = recover(ledger.path, readers, progress, options, new)
+    if recovery.outcome in ("whole", "mended") and is_log(view := open_checked(ledger.path)):
+        recovery = msgspec.structs.replace(recovery, shards=tuple(shards_to_recover(view, readers, progress)))
+    return RecoverResult(ledger.path, recovery, options, new)
 
 
 @verb(
@@ -219,7 +224,7 @@ def upgrade(
 
 
 class CompactResult(msgspec.Struct, frozen=True):
-    """What `compact` did: the head, and the number of segments before and after; a journal counts as one before."""
+    """The result of `compact`: the head, and the number of segments before (a journal counts as one) and after."""
 
     head: "Head"
     before: int
@@ -227,19 +232,19 @@ class CompactResult(msgspec.Struct, frozen=True):
 
 
 def _compacted(ledger: "Ledger") -> Lines:
-    found = compact(ledger)
+    result = compact(ledger)
     done = (
-        f"{counted(found.before, 'segment')} put into {found.after:,}"
-        if found.after < found.before
-        else f"nothing to do: {counted(found.after, 'segment')}"
+        f"{counted(result.before, 'segment')} put into {result.after:,}"
+        if result.after < result.before
+        else f"nothing to do: {counted(result.after, 'segment')}"
     )
     return Lines(
         f"{ledger.path}: {done}",
-        f"root {found.head.root}",
-        head=head_json(found.head),
+        f"root {result.head.root}",
+        head=head_json(result.head),
         ledger=str(ledger.path),
-        before=found.before,
-        after=found.after,
+        before=result.before,
+        after=result.after,
     )
 
 
@@ -266,17 +271,17 @@ def compact(ledger: "Ledger") -> CompactResult:
 
     view = open_ledger(ledger.path)
     with Writer(ledger.path, view.manifest.origin, adopts=True) as writer:  # appends nothing
-        before = len(view.releases)
+        segments_before = len(view.releases)
         writer.compact()
-        after = open_ledger(ledger.path)
-        keep_known(view, after)
-        return CompactResult(writer.head, before, len(after.releases))
+        compacted = open_ledger(ledger.path)
+        keep_known(view, compacted)
+        return CompactResult(writer.head, segments_before, len(compacted.releases))
 
 
 def _done(steps: "Sequence[Step]") -> Iterator[str]:
-    for did in dict.fromkeys(step.did for step in steps):
-        chosen = [step for step in steps if step.did == did]
-        yield did
+    for action in dict.fromkeys(step.did for step in steps):
+        chosen = [step for step in steps if step.did == action]
+        yield action
         yield from _some([f"  {step.file}{'' if step.to == step.file else f' -> {step.to}'}" for step in chosen])
 
 
@@ -286,7 +291,7 @@ def _some(lines: list[str]) -> list[str]:
 
 
 def _later(later: "Sequence[Later]") -> Iterator[str]:
-    """Yield a line for each row of like commits after the trusted ones."""
+    """Yield a line for each sequence of like commits after the trusted ones."""
     for (what, _), group in groupby(later, lambda commit: (commit.found, commit.restore)):
         numbers = [f"{commit.number:,}" for commit in group]
         yield f"  commit{f's {numbers[0]} to' if len(numbers) > 1 else ''} {numbers[-1]}: {what}"

@@ -36,9 +36,9 @@ RANKING = (
     *("changed_under", "fsar_best", "fsar_not_best_under"),
 )
 WHERE_TELLING = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
-"""Columns that a table for people shows only where they tell rows apart."""
+"""Columns that a text table shows only if they distinguish rows."""
 WHERE_ANY = ("undefined", "runs_not_observed")
-"""Columns that it shows only where a value is not 0."""
+"""Columns that a text table shows only if some value is not 0."""
 
 
 @verb(
@@ -96,17 +96,19 @@ class Statistics(Answer, msgspec.Struct, frozen=True):
             for row in self.rows
             if row["family_tests"] is not None and row["metric"] in published
         }
-        told = (
+        families_text = (
             [f"Holm adjusts together: {'; '.join(f'{count} tests of {name}' for name, count in sorted(families))}"]
             if len(families) > 1
             else []
         )
-        return [*told, *(f"not compared: {why}" for why in self.not_compared), *self.remarks] if self.rows else []
+        return (
+            [*families_text, *(f"not compared: {why}" for why in self.not_compared), *self.remarks] if self.rows else []
+        )
 
     @property
     def exit_code(self) -> int:
-        """1 where facts differ that an experiment keeps alike."""
-        return int(any(one.is_fault for one in self.differing))
+        """1 if facts differ that an experiment keeps the same."""
+        return int(any(world.is_fault for world in self.differing))
 
     def document(self, _: Screen) -> Mapping[str, object]:
         """Return the rows, and what they leave out."""
@@ -164,23 +166,23 @@ def statistics(ledger: "Ledger", pool: PoolOption = None) -> Statistics:
 
     pooled = pools_seeds(pool)
     with ledger.database() as database:
-        found = statistic_rows(database, pools_seeds=pooled)
+        rows = statistic_rows(database, pools_seeds=pooled)
         metrics = [row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position")]
         return Statistics(
-            [structs.asdict(row) for row in found],
+            [structs.asdict(row) for row in rows],
             list(StatisticRow.__struct_fields__),
             differing_worlds(database),
             not_compared(database),
-            [*remarks_on(found, metrics), *left_over(database)],
+            [*remarks_on(rows, metrics), *left_over(database)],
             of_outcomes(database),
-            [*too_few(found), *imputed(database, found), *_alone(found)],
+            [*too_few(rows), *imputed(database, rows), *_alone(rows)],
         )
 
 
 def _published() -> frozenset[str]:
     from fsar_ledger.metrics.definitions import published_metrics
 
-    return frozenset(one.name for one in published_metrics())
+    return frozenset(metric.name for metric in published_metrics())
 
 
 def _alone(rows: "Sequence[StatisticRow]") -> list[str]:
@@ -215,8 +217,8 @@ class MultiverseResult(Answer, msgspec.Struct, frozen=True):
         from fsar_ledger.metrics.multiverse import Multiverse
         from fsar_ledger.report import study_charts
 
-        found = Multiverse(self.readings, self.cells, self.rankings, self.universes)
-        publish(Path(file), study_charts.curves(found))
+        result = Multiverse(self.readings, self.cells, self.rankings, self.universes)
+        publish(Path(file), study_charts.curves(result))
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the ranges, the rankings and the readings as tables."""
@@ -227,7 +229,7 @@ class MultiverseResult(Answer, msgspec.Struct, frozen=True):
             return
         cells, rankings = plain(self.cells), [_named(row) for row in self.rankings]
         readings: list[Row] = [
-            {"name": one.name, "instead of": one.reading, "says": one.title} for one in self.readings
+            {"name": reading.name, "instead of": reading.reading, "says": reading.title} for reading in self.readings
         ]
         yield screen.table(cells, _columns(cells, CELL))
         yield printable.line("")
@@ -266,9 +268,9 @@ def multiverse(
 
     pooled = pools_seeds(pool)
     with ledger.database() as database:
-        every = tuple(row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position"))
-        found = read(database, known("metric", names_of(metric), every), pools_seeds=pooled, progress=progress)
-        return MultiverseResult(found.readings, found.cells, found.rankings, found.universes, of_outcomes(database))
+        names = tuple(row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position"))
+        result = read(database, known("metric", names_of(metric), names), pools_seeds=pooled, progress=progress)
+        return MultiverseResult(result.readings, result.cells, result.rankings, result.universes, of_outcomes(database))
 
 
 def _verdicts(rankings: "Sequence[OrderUnderReadings]") -> Iterator[str]:
@@ -277,13 +279,13 @@ def _verdicts(rankings: "Sequence[OrderUnderReadings]") -> Iterator[str]:
         ("FSAR is the best one", "fsar_best"),
         ("the order of the architectures is ours", "same_order"),
     ):
-        judged = [row for row in rankings if getattr(row, count) is not None]
-        always = sum(getattr(row, count) == row.combinations for row in judged)
-        never = sum(getattr(row, count) == 0 for row in judged)
-        if judged:
+        ranked = [row for row in rankings if getattr(row, count) is not None]
+        always = sum(getattr(row, count) == row.combinations for row in ranked)
+        never = sum(getattr(row, count) == 0 for row in ranked)
+        if ranked:
             yield (
-                f"{what} under every combination in {always} of {counted(len(judged), 'ranking')}, under some in "
-                f"{len(judged) - always - never}, under none in {never}"
+                f"{what} under every combination in {always} of {counted(len(ranked), 'ranking')}, under some in "
+                f"{len(ranked) - always - never}, under none in {never}"
             )
         else:
             fsar = ", one of them FSAR" if count == "fsar_best" else ""
@@ -292,8 +294,13 @@ def _verdicts(rankings: "Sequence[OrderUnderReadings]") -> Iterator[str]:
 
 def _columns(rows: Sequence[Row], columns: tuple[str, ...]) -> list[str]:
     """Return the columns to show: those of the setting after the first, those of `WHERE_ANY` at the end."""
-    telling = [name for name in WHERE_TELLING if name in rows[0] and len({row[name] for row in rows}) > 1]
-    return [columns[0], *telling, *columns[1:], *(name for name in WHERE_ANY if any(row.get(name) for row in rows))]
+    distinguishing = [name for name in WHERE_TELLING if name in rows[0] and len({row[name] for row in rows}) > 1]
+    return [
+        columns[0],
+        *distinguishing,
+        *columns[1:],
+        *(name for name in WHERE_ANY if any(row.get(name) for row in rows)),
+    ]
 
 
 def _named(row: "OrderUnderReadings") -> Row:
@@ -302,5 +309,5 @@ def _named(row: "OrderUnderReadings") -> Row:
 
 
 def _texts(sets: "tuple[ReadingNames, ...] | None") -> str | None:
-    """Return the combinations in words; None where there are none, or nothing can be said."""
+    """Return the combinations in words; None if there are none, or it is unknown."""
     return "; ".join(" + ".join(names) or OURS for names in sets) if sets else None

@@ -31,7 +31,7 @@ _KINDS = {
     "service": "a service",
     "agent": "an agent of a robot",
 }
-"""By the first word of its name, what a principal is."""
+"""The kind of a principal by the first word of its name."""
 
 _TIME = re.compile(r"([0-9]{1,16}(?:\.[0-9]{0,16})?|\.[0-9]{1,16})\s*(s|ms)?")
 
@@ -61,8 +61,8 @@ def run_named(
     Args:
         asked: A `Run`; numbers are from 1, in the order of the ledger.
         names: The runs in the order of the ledger. Digits alone are always a number.
-        others: What also has a name, but no number, such as plans.
-        way: Where people find the names.
+        others: Other names that have no number, such as plans.
+        way: Where users find the names.
 
     Raises:
         UsageError: No run matches, or several do, or it is neither text nor a whole number.
@@ -81,62 +81,62 @@ def run_named(
     is_part = asked != "" and not asked.startswith(
         "-"
     )  # hashes follow a "-", so a negative number would be part of one
-    found = sorted(name for name in known_names if is_part and asked in name)
-    if len(found) == 1:
-        return found[0]
-    if found:
+    runs = sorted(name for name in known_names if is_part and asked in name)
+    if len(runs) == 1:
+        return runs[0]
+    if runs:
         numbers = {name: number for number, name in enumerate(names, start=1)}
-        shown = printable.some(
-            printable.value(name) + (f" (number {numbers[name]:,})" if name in numbers else "") for name in found
+        listed = printable.some(
+            printable.value(name) + (f" (number {numbers[name]:,})" if name in numbers else "") for name in runs
         )
         raise UsageError(
-            f"run {printable.value(asked)}: found {len(found):,} runs whose names contain this, expected one of {shown}"
+            f"run {printable.value(asked)}: found {len(runs):,} runs whose names contain this, expected one of {listed}"
         )
     parts = {part for name in known_names for part in name.split(".")}
     hint = printable.did_you_mean(asked, known_names) or printable.did_you_mean(asked, parts)
     raise UsageError(f"run {printable.value(asked)}: there is no such run{hint or ';'} {way}")
 
 
-def _numbered(asked: str, names: Sequence[str], way: str) -> str:
+def _numbered(text: str, names: Sequence[str], way: str) -> str:
     """Return the run of this number, from 1. Raises: UsageError if there is none."""
-    number = int(asked) if len(asked) <= MAX_DIGITS else len(names) + 1
+    number = int(text) if len(text) <= MAX_DIGITS else len(names) + 1
     if not 1 <= number <= len(names):
-        held = f"a number from 1 to {len(names)}" if names else "no number: there is no run"
-        raise UsageError(f"run {asked:.80}: there is no run of this number, expected {held}; {way}")
+        expected = f"a number from 1 to {len(names)}" if names else "no number: there is no run"
+        raise UsageError(f"run {text:.80}: there is no run of this number, expected {expected}; {way}")
     return names[number - 1]
 
 
 def principal_named(what: str, asked: str, names: Sequence[str]) -> str:
     """Return the principal of a robot or supervisor (`what`) that is given as `B1` or in full, as `robot/B1`.
 
-    Capitals do not matter where only one name is meant.
+    Case does not matter if only one name matches.
 
     Raises: UsageError if there is none.
     """
-    before = f"{what}/"
-    short = asked[len(before) :] if asked.casefold().startswith(before) else asked
-    found = [name for name in names if name.casefold() == f"{before}{short}".casefold()]
-    if f"{before}{short}" in found:
-        return f"{before}{short}"
-    if len(found) == 1:
-        return found[0]
+    prefix = f"{what}/"
+    short = asked[len(prefix) :] if asked.casefold().startswith(prefix) else asked
+    matches = [name for name in names if name.casefold() == f"{prefix}{short}".casefold()]
+    if f"{prefix}{short}" in matches:
+        return f"{prefix}{short}"
+    if len(matches) == 1:
+        return matches[0]
     kind = _KINDS.get(asked.partition("/")[0])
-    if kind is not None and not asked.startswith(before):
+    if kind is not None and not asked.startswith(prefix):
         raise UsageError(f"{what} {printable.value(asked)}: found {kind}, expected {_one_of(what, names)}")
-    near = printable.nearest(short, [name.removeprefix(before) for name in names])
-    hint = ";" if near is None else f"; did you mean {printable.value(before + near)}?"
+    near = printable.nearest(short, [name.removeprefix(prefix) for name in names])
+    hint = ";" if near is None else f"; did you mean {printable.value(prefix + near)}?"
     raise _unknown(what, asked, hint, names)
 
 
 def named(what: str, asked: str, names: Sequence[str]) -> str:
-    """Return the name if it is one of these. Raises: UsageError, with the nearest."""
+    """Return the name if it is one of `names`. Raises: UsageError, with the nearest."""
     if asked in names:
         return asked
     raise _unknown(what, asked, printable.did_you_mean(asked, names) or ";", names)
 
 
-def _unknown(what: str, asked: str, hint: str, names: Sequence[str]) -> UsageError:
-    return UsageError(f"{what} {printable.value(asked)}: there is no such {what}{hint} expected {_one_of(what, names)}")
+def _unknown(what: str, name: str, hint: str, names: Sequence[str]) -> UsageError:
+    return UsageError(f"{what} {printable.value(name)}: there is no such {what}{hint} expected {_one_of(what, names)}")
 
 
 def _one_of(what: str, names: Sequence[str]) -> str:
@@ -150,9 +150,9 @@ def names_of(asked: str | Sequence[str] | None) -> list[str] | None:
 
 def require_whole(**given: object) -> None:
     """Require that each of these parameters is a whole number, or None. Raises: UsageError, which names it."""
-    for name, found in given.items():
-        if found is not None and type(found) is not int:
-            raise UsageError(f"{option(name)}: found {found!r:.80}, expected a whole number")
+    for name, value in given.items():
+        if value is not None and type(value) is not int:
+            raise UsageError(f"{option(name)}: found {value!r:.80}, expected a whole number")
 
 
 def microseconds(what: str, asked: Time) -> int | None:
@@ -165,18 +165,18 @@ def microseconds(what: str, asked: Time) -> int | None:
     """
     if asked is None:
         return None
-    found = _seconds(asked)
-    if found is None or not 0 <= found <= MAX_SECONDS:
-        shown = printable.value(asked, 80) if isinstance(asked, str) else f"{asked!r:.80}"
-        raise UsageError(f"{what}: found {shown}, expected seconds of run time, 0 or more, as 46.6, 46.6s or 46600ms")
-    return round(found * 1_000_000)
+    seconds = _seconds(asked)
+    if seconds is None or not 0 <= seconds <= MAX_SECONDS:
+        text = printable.value(asked, 80) if isinstance(asked, str) else f"{asked!r:.80}"
+        raise UsageError(f"{what}: found {text}, expected seconds of run time, 0 or more, as 46.6, 46.6s or 46600ms")
+    return round(seconds * 1_000_000)
 
 
-def _seconds(asked: object) -> Decimal | None:
-    """Return the seconds that a number or a text gives, exactly as it is written; None if it is no finite time."""
-    if isinstance(asked, str):
-        match = _TIME.fullmatch(asked.strip())
+def _seconds(value: object) -> Decimal | None:
+    """Return the exact seconds of a number or text; None if it is not a finite time."""
+    if isinstance(value, str):
+        match = _TIME.fullmatch(value.strip())
         return None if match is None else Decimal(match[1]) / (1_000 if match[2] == "ms" else 1)
-    if isinstance(asked, bool) or not isinstance(asked, int | float) or not isfinite(asked):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
         return None
-    return Decimal(repr(asked))
+    return Decimal(repr(value))

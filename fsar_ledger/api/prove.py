@@ -1,4 +1,4 @@
-"""The verbs `prove` and `verify-proof`: prove an event to whoever has no ledger, and check such a proof."""
+"""The verbs `prove` and `verify-proof`: prove an event to people without the ledger, and check such a proof."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -36,8 +36,8 @@ def _proved(ledger: "Ledger", event: str, out: Path | None, format: Form, key: P
         f"root {proof.note.checkpoint.root.hex()}",
     ]
     if (log := proof.log) is not None:
-        tree = log.note.checkpoint
-        lines += [f"this root is head {log.index:,} of {tree.size:,} of the log", f"root {tree.root.hex()}"]
+        checkpoint = log.note.checkpoint
+        lines += [f"this root is head {log.index:,} of {checkpoint.size:,} of the log", f"root {checkpoint.root.hex()}"]
     return Lines(*lines)
 
 
@@ -94,23 +94,23 @@ def prove(
         require_outside(Path(out), option("out", out))
     view = open_for_answers(ledger.path)
     run, seq = asked_event(view, str(event), ledger.demanded)
-    found = proof.prove(view, _index_of(view, run, seq, ledger.demanded))
-    data = str(found).encode()
-    if signer is not None and found.log is not None:
+    event_proof = proof.prove(view, _index_of(view, run, seq, ledger.demanded))
+    data = str(event_proof).encode()
+    if signer is not None and event_proof.log is not None:
         raise UsageError(
             f"{option('format', format)}: found a federation, expected one ledger, as a receipt has one step; leave it "
             "out, or prove the event in its shard"
         )
     if signer is not None:
-        data = cose.signed_statement(str(ledger.path), found, signer.under(found.note.checkpoint.origin))
+        data = cose.signed_statement(str(ledger.path), event_proof, signer.under(event_proof.note.checkpoint.origin))
     if out is not None:
         with whole_file(Path(out)) as temporary:
             temporary.write_bytes(data)
-    return found
+    return event_proof
 
 
 def _signer(form: str, out: Place | None, key: Place | None) -> "Signer | None":
-    """Return the key of a receipt; None for a form without. Raises: UsageError if the form is unknown or lacks that."""
+    """Return the key of a receipt; None for a form without one. Raises: UsageError for an unknown form or no key."""
     from fsar_ledger.ledger.store.cose import library
 
     if form not in get_args(Form):
@@ -123,46 +123,46 @@ def _signer(form: str, out: Place | None, key: Place | None) -> "Signer | None":
             )
         return None
     where = option("format", form)
-    for name, given in (("out", out), ("key", key)):
-        if given is None:
-            what = "a new file, since CBOR is no text" if name == "out" else "the secret key that signed the ledger"
-            raise UsageError(f"{where}: found no {option(name)}, expected {what}")
+    for name, value in (("out", out), ("key", key)):
+        if value is None:
+            expected = "a new file, since CBOR is no text" if name == "out" else "the secret key that signed the ledger"
+            raise UsageError(f"{where}: found no {option(name)}, expected {expected}")
     library(where)
     return signer_of(key)
 
 
 def asked_event(view: "View", event: str, demanded: str | None) -> tuple[str | None, str]:
-    """Return the full name of the run and the digits of the seq, or None and the digits of a place in the ledger.
+    """Return the full name of the run and the digits of the seq, or None and the digits of an index in the ledger.
 
     Raises:
-        UsageError: It is no name of an event, or there is no such run, or more than one.
+        UsageError: It does not name an event, or there is no such run, or more than one.
         SequenceConflict: As `is_verified`.
     """
     from fsar_ledger.metrics.verified import is_verified
 
     from .lookup import resolve_run_in
 
-    asked, _, seq = event.rpartition(":")
+    run, _, seq = event.rpartition(":")
     if not (seq.isascii() and seq.isdecimal()) or event.startswith(":"):
         raise UsageError(
             f"EVENT {event}: found no number, expected RUN:SEQ, as a run and the seq of an event in it, or the "
             "event's place in the ledger"
         )
     is_verified(view, demanded)
-    return resolve_run_in(view, asked, demanded) if asked else None, seq
+    return resolve_run_in(view, run, demanded) if run else None, seq
 
 
 def found_event(view: "View", run: str | None, seq: str, demanded: str | None) -> tuple[str, int]:
     """Return run and seq of the event that `asked_event` gave. Raises: UsageError if there is no such event."""
     from fsar_ledger.ledger.store.locations import event_at, seq_counted_on
 
-    found = event_at(view, _index_of(view, run, seq, demanded))
-    name = str(found["run_id"])
-    return (name, seq_counted_on(view, name, int(str(found["seq"])))) if run is None else (run, int(seq))
+    row = event_at(view, _index_of(view, run, seq, demanded))
+    name = str(row["run_id"])
+    return (name, seq_counted_on(view, name, int(str(row["seq"])))) if run is None else (run, int(seq))
 
 
 def _index_of(view: "View", run: str | None, seq: str, demanded: str | None) -> int:
-    """Return the place in the ledger, from 0, of this event of the run; without a run it is its place already.
+    """Return the index in the ledger, from 0, of this event of the run; without a run, `seq` is that index.
 
     Raises:
         UsageError: There is no such event.
@@ -209,7 +209,7 @@ class CheckedProof(Answer, msgspec.Struct, frozen=True):
     compared: tuple[str, ...]
 
     def document(self, _: Screen) -> Mapping[str, object]:
-        """Return the event and its place; `head` is that of the proof's checkpoint, of a shard that of the log."""
+        """Return the event and its index; `head` is that of the proof's checkpoint, for a shard that of the log."""
         proven, event, top = self.proven, self.proven.event, self.proven.log or self.proven
         return {
             "head": {"size": top.size, "root": top.root},
@@ -227,28 +227,28 @@ class CheckedProof(Answer, msgspec.Struct, frozen=True):
         }
 
     def text(self, _: Screen) -> Iterator[printable.SafeText]:
-        """Yield the event, its principals, its place and the signature."""
+        """Yield the event, its principals, its position and the signature."""
         from fsar_ledger.ledger.rows.canonical import document
 
         proven, top = self.proven, self.proven.log or self.proven
         event = {
-            name: printable.value(found) if isinstance(found, str) else found for name, found in proven.event.items()
+            name: printable.value(value) if isinstance(value, str) else value for name, value in proven.event.items()
         }
         width = max(map(len, PRINCIPALS))
         signature = signature_text(top.signature, top.signer)
-        place = f"event {proven.index:,} of {proven.size:,} in the ledger of {printable.value(proven.origin)}"
+        position = f"event {proven.index:,} of {proven.size:,} in the ledger of {printable.value(proven.origin)}"
         hint = []
         if self.compared:
             hint = [f"the root is that of {' and '.join(self.compared)}"]
         elif top.signature != "signed":
             hint = ["no signature was checked: compare the root with one that you trust, by --anchor or --root"]
         if proven.log is None:
-            steps = [f"{self.file}: proven: {place}, {signature}", f"root {proven.root}"]
+            steps = [f"{self.file}: proven: {position}, {signature}", f"root {proven.root}"]
         else:
             head = f"head {top.index:,} of {top.size:,} in the log of {printable.value(top.origin)}"
             steps = [
                 f"{self.file}: proven in two steps",
-                f"1: {place}, a shard",
+                f"1: {position}, a shard",
                 f"   root {proven.root}",
                 f"2: this root is {head}, {signature}",
                 f"   root {top.root}",
@@ -264,12 +264,12 @@ class CheckedProof(Answer, msgspec.Struct, frozen=True):
 
 
 def _checked(file: Path, trusted_key: str | None, anchor: Path | None, root: str | None) -> CheckedProof | RefusedProof:
-    place = Path("/dev/stdin") if str(file) == "-" else file
+    path = Path("/dev/stdin") if str(file) == "-" else file
     try:
-        proven = verify_proof(place, trusted_key, anchor=anchor, root=root)
+        proven = verify_proof(path, trusted_key, anchor=anchor, root=root)
     except LedgerCorrupted as error:
         return RefusedProof(file, error)
-    compared = tuple(option(name) for name, given in (("anchor", anchor), ("root", root)) if given is not None)
+    compared = tuple(option(name) for name, value in (("anchor", anchor), ("root", root)) if value is not None)
     return CheckedProof(file, proven, compared)
 
 
@@ -301,15 +301,15 @@ def verify_proof(
     from fsar_ledger.ledger.store.cose import check_statement, is_statement
     from fsar_ledger.ledger.store.proof import check_proof, proof_of, read_given, require_root, require_tree
 
-    kept, expected = checkpoint_of(anchor), root_of(root)
+    checkpoint, expected = checkpoint_of(anchor), root_of(root)
     trusted, where, data = trusted_of(trusted_key), str(file), read_given(Path(file))
     if is_statement(data):
         proven = check_statement(where, data, trusted)
     else:
         proven = check_proof(where, proof_of(where, data), trusted)
     top = proven.log or proven
-    if kept is not None:
-        require_tree(where, top, kept, str(anchor))
+    if checkpoint is not None:
+        require_tree(where, top, checkpoint, str(anchor))
     if expected is not None:
         require_root(where, top, expected, option("root"))
     return proven

@@ -37,11 +37,11 @@ class Queries(Answer):
         self._events, self._found = events, listed(events=events)
 
     def document(self, _: Screen) -> Mapping[str, object]:
-        """Return a row for each."""
+        """Return a row for each query."""
         return {"head": None, "queries": list(map(_row, self._found))}
 
     def table(self) -> "Table":
-        """Return a row for each."""
+        """Return a row for each query."""
         import pyarrow as pa
 
         from .table import Table
@@ -49,13 +49,13 @@ class Queries(Answer):
         return Table(pa.Table.from_pylist(list(map(_row, self._found))))
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
-        """Yield a table for each group, and how to read on."""
+        """Yield a table for each group, and the commands to run next."""
         from fsar_ledger.metrics.library import library
         from fsar_ledger.metrics.own_sql import GROUPS, group_of, is_event_view
 
-        shown = _on_a_terminal if screen.is_fitted else _plain
+        row_of = _on_a_terminal if screen.is_fitted else _plain
         for group, queries in groupby(self._found, key=group_of):
-            rows = list(map(shown, queries))
+            rows = list(map(row_of, queries))
             has_parameters = any(row.get("parameters") for row in rows)
             columns = ["name", "title", *(["parameters"] if has_parameters else [])]
             yield printable.lines(f"{group}: {GROUPS[group]}" if group in GROUPS else group, "")
@@ -89,19 +89,19 @@ def _title(query: "Query") -> str:
     return query.header["Title"].partition(". ")[0]
 
 
-def _arrange(given: dict[str, Any]) -> None:
+def _arrange(values: dict[str, Any]) -> None:
     """With --file the first argument is the ledger. Raises: UsageError if the arguments contradict each other."""
-    name, ledger, file, parameters = (given[one] for one in ("name", "ledger", "file", "parameters"))
-    if given["all"] and not given["list"]:
+    name, ledger, file, parameters = (values[key] for key in ("name", "ledger", "file", "parameters"))
+    if values["all"] and not values["list"]:
         raise UsageError("found --all without --list, expected both or neither")
-    if given["list"]:
+    if values["list"]:
         return
-    if given["show"]:
+    if values["show"]:
         if name is None:
             raise UsageError("query --show: expected NAME, as in `fsar-ledger query failures --show`")
         return
     if file is None:
-        if (seconds := given["seconds"]) is not None:
+        if (seconds := values["seconds"]) is not None:
             raise UsageError(
                 f"--seconds {seconds}: expected only with --file; a packaged query takes as long as it takes"
             )
@@ -121,7 +121,7 @@ def _arrange(given: dict[str, Any]) -> None:
             f"query --file {file}: expected one argument, LEDGER, as in `fsar-ledger query --file "
             f"{printable.word(file)} out/ledger`"
         )
-    given["ledger"] = Path(name)
+    values["ledger"] = Path(name)
 
 
 @verb(
@@ -171,7 +171,7 @@ def query(
 
 @contextmanager
 def _of_file(ledger: "Ledger", file: Path, seconds: int | None, memory_mib: int | None) -> "Iterator[Rows]":
-    """Yield the answer of the SELECT in the file. Raises: As `sql`, and UsageError if the file cannot be read."""
+    """Yield the answer to the SELECT in the file. Raises: As `sql`, and UsageError if the file cannot be read."""
     try:
         select = _text_of(file, limits_of(seconds, memory_mib).sql_bytes)
         with rows_of_select(ledger, select, seconds, memory_mib) as rows:
@@ -180,7 +180,7 @@ def _of_file(ledger: "Ledger", file: Path, seconds: int | None, memory_mib: int 
         raise QueryFailed(f"{file}: {problem}") from problem
 
 
-def _text_of(file: Path, most: int) -> str:
+def _text_of(file: Path, limit: int) -> str:
     """Read the SELECT in the file, or in standard input.
 
     Raises:
@@ -189,16 +189,16 @@ def _text_of(file: Path, most: int) -> str:
     """
     try:
         if str(file) == "-":
-            data = sys.stdin.buffer.read(most + 1)
+            data = sys.stdin.buffer.read(limit + 1)
         else:
             with file.open("rb") as stream:
-                data = stream.read(most + 1)
+                data = stream.read(limit + 1)
     except OSError as problem:
         raise UsageError(
             f"{file}: cannot be read ({problem.strerror}), expected a file that holds one SELECT"
         ) from problem
-    if len(data) > most:
-        raise QueryFailed(f"SQL: found more than {most:,} bytes of text, the limit; split the question")
+    if len(data) > limit:
+        raise QueryFailed(f"SQL: found more than {limit:,} bytes of text, the limit; split the question")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
@@ -232,15 +232,15 @@ def limits_of(seconds: int | None, memory_mib: int | None) -> "Limits":
 
 @contextmanager
 def rows_of_select(ledger: "Ledger", select: str, seconds: int | None, memory_mib: int | None) -> "Iterator[Rows]":
-    """Yield the answer of a SELECT; the time limit covers all of it. Raises: As `sql`."""
+    """Yield the answer to a SELECT; the time limit covers all of it. Raises: As `sql`."""
     from fsar_ledger.metrics.provenance import Provenance
     from fsar_ledger.metrics.untrusted import stream_untrusted
 
     from .table import Rows
 
     limits = limits_of(seconds, memory_mib)
-    with stream_untrusted(ledger.path, select, limits, ledger.demanded) as found:
-        yield Rows(Provenance(found.head, found.rows_verified), found.columns, found.batches)
+    with stream_untrusted(ledger.path, select, limits, ledger.demanded) as result:
+        yield Rows(Provenance(result.head, result.rows_verified), result.columns, result.batches)
 
 
 @verb(

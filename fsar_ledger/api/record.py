@@ -1,4 +1,4 @@
-"""The verbs `record`, `import` and `shards`: what others did goes on record, and the heads of other ledgers."""
+"""The verbs `record`, `import` and `shards`: record what other systems did, and the heads of other ledgers."""
 
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -54,7 +54,7 @@ def record(
         epoch: The time of run time 0; None: now.
         origin: Publish a new ledger under this name.
         key: The file of the key that signs.
-        private_names: A file outside the ledger that keeps the names of people, in whose place commitments are stored.
+        private_names: A file outside the ledger that keeps the names of people; the ledger stores commitments instead.
 
     Raises: As `Recorder`.
     """
@@ -79,7 +79,7 @@ def record(
 
 
 class RecordResult(Answer, msgspec.Struct, frozen=True):
-    """How many lines were recorded, and what was wrong with the others, by the number of the line."""
+    """The result of `record`: how many events were recorded, and why lines were refused, by line number."""
 
     ledger: Path
     run: str
@@ -92,7 +92,7 @@ class RecordResult(Answer, msgspec.Struct, frozen=True):
         return 1 if self.refused else 0
 
     def document(self, _: Screen) -> Mapping[str, object]:
-        """Return all of it."""
+        """Return all fields."""
         refused = {str(line): why for line, why in self.refused.items()}
         return {"ledger": str(self.ledger), "run": self.run, "events": self.events, "refused": refused}
 
@@ -166,15 +166,15 @@ def _time(text: str) -> datetime:
     try:
         return utc.parsed(text)
     except ValueError as error:
-        found = printable.value(text)
-        raise UsageError(f"{option('epoch')}: found {found}, expected a time such as 2026-03-01T10:00Z") from error
+        value = printable.value(text)
+        raise UsageError(f"{option('epoch')}: found {value}, expected a time such as 2026-03-01T10:00Z") from error
 
 
 class ImportResult(Answer, msgspec.Struct, frozen=True):
-    """What became of the input, and what can be judged of the run now: `gaps` as `audit/record_gaps`.
+    """The result of `import`, and what can be judged of the run now: `gaps` as `audit/record_gaps`.
 
-    `unseen` are event types that the source is said to record, and of which the run has no event; `also` the other runs
-    into which the same files were imported.
+    `unseen` are event types that the source is declared to record, and of which the run has no event; `also` are the
+    other runs into which the same files were imported.
     """
 
     ledger: "Ledger"
@@ -184,42 +184,42 @@ class ImportResult(Answer, msgspec.Struct, frozen=True):
     also: tuple[str, ...] = ()
 
     def document(self, _: Screen) -> Mapping[str, object]:
-        """Return all of it."""
+        """Return all fields."""
         return {
             "ledger": str(self.ledger.path),
             **msgspec.to_builtins(self.made),
             "unseen": list(self.unseen),
-            "gaps": [dict(one) for one in self.gaps],
+            "gaps": [dict(gap) for gap in self.gaps],
             "also": list(self.also),
         }
 
     def text(self, _: Screen) -> Iterator[SafeText]:
         """Yield what was read, what was made of it, what was not understood, and what is observable."""
-        made, value = self.made, printable.value
-        there = f", {made.before:,} of them before" if made.before else ""
-        read = f"{counted(made.records, 'record')} of {value(made.format)}{there}"
+        result, value = self.made, printable.value
+        earlier = f", {result.before:,} of them before" if result.before else ""
+        read = f"{counted(result.records, 'record')} of {value(result.format)}{earlier}"
         yield printable.lines(
-            f"{self.ledger.path}: run {value(made.run)}, {read}",
+            f"{self.ledger.path}: run {value(result.run)}, {read}",
             *([f"on file before, as run {', '.join(map(value, self.also))}: all counts twice"] if self.also else []),
-            f"events made: {', '.join(f'{count:,} {kind}' for kind, count in made.events.items()) or 'none'}",
+            f"events made: {', '.join(f'{count:,} {kind}' for kind, count in result.events.items()) or 'none'}",
             *(
-                f"not understood: {value(one.kind)}, {counted(one.count, 'record')}, the first of them {one.first:,}"
-                for one in made.not_understood[: printable.NAMED]
+                f"not understood: {value(item.kind)}, {counted(item.count, 'record')}, the first of them {item.first:,}"
+                for item in result.not_understood[: printable.NAMED]
             ),
-            *made.about_times(),
+            *result.about_times(),
             *([f"said to be recorded, and never seen: {', '.join(self.unseen)}"] if self.unseen else []),
             *self._judged(),
         )
 
     def _judged(self) -> Iterator[str]:
-        can = [_short(one["judge"]) for one in self.gaps if one["is_observable"]]
-        yield f"can be judged: {', '.join(can) or 'nothing'}"
-        hidden = [one for one in self.gaps if not one["is_observable"]]
-        for one in hidden[: printable.NAMED]:
-            yield f"not observable: {_short(one['judge'])}, for want of {one['missing']}"
+        observable = [_short(gap["judge"]) for gap in self.gaps if gap["is_observable"]]
+        yield f"can be judged: {', '.join(observable) or 'nothing'}"
+        hidden = [gap for gap in self.gaps if not gap["is_observable"]]
+        for gap in hidden[: printable.NAMED]:
+            yield f"not observable: {_short(gap['judge'])}, for want of {gap['missing']}"
         if more := hidden[printable.NAMED :]:
-            place = printable.word(self.ledger.path)
-            yield f"and {len(more)} more, for want of more; `fsar-ledger query record_gaps {place}` lists all"
+            path = printable.word(self.ledger.path)
+            yield f"and {len(more)} more, for want of more; `fsar-ledger query record_gaps {path}` lists all"
 
 
 @verb(
@@ -261,7 +261,7 @@ def import_records(
 
     adapter, mapping_sha256 = adapter_of(format, None if mapping is None else Path(mapping))
     with opened(logs) as inputs:
-        made = import_files(
+        imported = import_files(
             Path(out),
             inputs,
             looked(adapter, inputs),
@@ -274,19 +274,19 @@ def import_records(
             progress=progress,
         )
     ledger = Ledger(out)
-    with ledger.about_run(made.run) as (database, _, _):
+    with ledger.about_run(imported.run) as (database, _, _):
         seen = {str(row["type"]).partition(".v")[0] for row in database.rows("SELECT DISTINCT type FROM events")}
         gaps = database.rows("SELECT * FROM record_gaps ORDER BY missing_count, kind, judge")
-    unseen = tuple(name for name in made.declared.records if "." not in name and name not in seen)
+    unseen = tuple(name for name in imported.declared.records if "." not in name and name not in seen)
     own = "SELECT input_sha256 FROM source_opened WHERE run_id = $run"
     same = f"SELECT DISTINCT run_id FROM source_opened WHERE run_id <> $run AND input_sha256 IN ({own}) ORDER BY run_id"
     with ledger.database() as database:
-        also = tuple(row["run_id"] for row in database.rows(same, {"run": made.run}))
-    return ImportResult(ledger, made, unseen, tuple(gaps), also)
+        also = tuple(row["run_id"] for row in database.rows(same, {"run": imported.run}))
+    return ImportResult(ledger, imported, unseen, tuple(gaps), also)
 
 
 class RecordedShards(Answer, msgspec.Struct, frozen=True):
-    """The newest head of each shard, those recorded now among them, and the model versions of each by its origin."""
+    """The newest head of each shard, the origins recorded now, and the model versions of each shard by origin."""
 
     log: Path
     head: "Head"
@@ -298,25 +298,25 @@ class RecordedShards(Answer, msgspec.Struct, frozen=True):
         """Return a row for each shard."""
         rows = [
             {
-                **{name: getattr(one, name) for name in ("origin", "folder", "shard_events", "shard_root")},
-                "model_versions": self.models.get(one.origin),
-                "is_new": one.origin in self.recorded,
+                **{name: getattr(shard, name) for name in ("origin", "folder", "shard_events", "shard_root")},
+                "model_versions": self.models.get(shard.origin),
+                "is_new": shard.origin in self.recorded,
             }
-            for one in self.shards
+            for shard in self.shards
         ]
         return {"head": head_json(self.head), "log": str(self.log), "shards": rows}
 
     def text(self, _: Screen) -> Iterator[SafeText]:
         """Yield the head of the log, and a line for each shard."""
         value = printable.value
-        versions = sorted({version for found in self.models.values() for version in found})
+        versions = sorted({version for names in self.models.values() for version in names})
         yield printable.lines(
             f"{self.log}: {counted(len(self.shards), 'shard')}, {len(self.recorded):,} recorded now",
             f"root {self.head.root}",
             *(
-                f"{value(one.origin)}: {counted(one.shard_events, 'event')} in {value(one.folder)}, model version "
-                f"{', '.join(map(value, self.models.get(one.origin, ()))) or 'unknown'}"
-                for one in self.shards
+                f"{value(head.origin)}: {counted(head.shard_events, 'event')} in {value(head.folder)}, model version "
+                f"{', '.join(map(value, self.models.get(head.origin, ()))) or 'unknown'}"
+                for head in self.shards
             ),
             *([f"model versions {', '.join(map(value, versions))}: no answer pools them"] if versions[1:] else []),
         )
@@ -358,29 +358,31 @@ def shards(
 
     from .key import origin_of
 
-    place, signer, kept = Path(log), None if key is None else read_signer(Path(key)), kept_origin(Path(log))
-    heads = [] if kept is None else _heads(open_checked(place))
-    given = [Path(one) for one in ledgers or ()] or [one.place(place) for one in newest(heads)]
-    if not given:
-        raise UsageError(f"{place}: found no shard, expected at least one LEDGER; name the ledgers to record")
-    found = present(place, heads, given)
+    path, signer, kept = Path(log), None if key is None else read_signer(Path(key)), kept_origin(Path(log))
+    heads = [] if kept is None else _heads(open_checked(path))
+    folders = [Path(shard) for shard in ledgers or ()] or [shard.place(path) for shard in newest(heads)]
+    if not folders:
+        raise UsageError(f"{path}: found no shard, expected at least one LEDGER; name the ledgers to record")
+    current = present(path, heads, folders)
     name = origin_of(origin) or kept or (signer.verifier.name if signer is not None else FEDERATION)
-    if name in found.views:
+    if name in current.views:
         raise UsageError(f"{option('origin', name)}: found the origin of a shard, expected one of the log's own")
-    with Writer(place, name, signer, adopts=adopt) as writer:
-        if found.heads:
+    with Writer(path, name, signer, adopts=adopt) as writer:
+        if current.heads:
             try:
-                writer.commit(list(map(record_of_head, found.heads)))
+                writer.commit(list(map(record_of_head, current.heads)))
             except InvalidRun as error:
                 if writer.head.size == len(heads):
                     raise
                 raise SequenceConflict(
-                    f"{place}: found that the log has grown meanwhile, expected the {len(heads):,} heads that it had; "
+                    f"{path}: found that the log has grown meanwhile, expected the {len(heads):,} heads that it had; "
                     "nothing was recorded: run it again"
                 ) from error
         head = writer.head
-    models = {origin: models_of(view) for origin, view in found.views.items()}
-    return RecordedShards(place, head, newest([*heads, *found.heads]), tuple(one.origin for one in found.heads), models)
+    models = {origin: models_of(view) for origin, view in current.views.items()}
+    return RecordedShards(
+        path, head, newest([*heads, *current.heads]), tuple(shard.origin for shard in current.heads), models
+    )
 
 
 def _heads(log: "View") -> "list[ShardHead]":

@@ -84,8 +84,8 @@ def report(
     def path(place: Place | None) -> Path | None:
         return None if place is None else Path(place)
 
-    given: dict[str, object] = {"with": beside, "workflows": workflows, "sensitivity": sensitivity}
-    of_the_paper = [name for name, one in given.items() if one]
+    options: dict[str, object] = {"with": beside, "workflows": workflows, "sensitivity": sensitivity}
+    of_the_paper = [name for name, argument in options.items() if argument]
     if kind not in (None, "paper", "audit"):
         raise UsageError(f"{option('kind', value(kind))}: expected paper or audit")
     if kind == "audit" and of_the_paper:
@@ -103,7 +103,7 @@ def report(
         numbers_out=path(numbers),
         kind="paper" if kind is None and of_the_paper else kind,
     )
-    return Lines(*(f"{one}" for one in (out, numbers) if one is not None))
+    return Lines(*(f"{file}" for file in (out, numbers) if file is not None))
 
 
 class Reproduced(Answer, msgspec.Struct, frozen=True):
@@ -128,9 +128,9 @@ class Reproduced(Answer, msgspec.Struct, frozen=True):
     def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the metrics of the results, and where the report is."""
         results = self.results["results"]
-        took = f"{results.head.events:,} events, root {results.head.root}, {screen.elapsed_s:.0f} s"
+        summary = f"{results.head.events:,} events, root {results.head.root}, {screen.elapsed_s:.0f} s"
         yield screen.table(self.metrics.rows(), SHOWN)
-        yield printable.lines(*beyond(results), "", took, str(self.report))
+        yield printable.lines(*beyond(results), "", summary, str(self.report))
 
 
 @verb(
@@ -183,9 +183,11 @@ def reproduce(
     wanted = known("experiment", names_of(only), NAMES)
     experiments = [paper_ledger(name, runs) for name in NAMES if name == "results" or not wanted or name in wanted]
     with WorkerPool(processes) as pool:
-        made = {
-            one.name: _carried_out(folder / one.name, one, pool, one.signer(signer), show, adopts=adopt)
-            for one in experiments
+        results = {
+            experiment.name: _carried_out(
+                folder / experiment.name, experiment, pool, experiment.signer(signer), show, adopts=adopt
+            )
+            for experiment in experiments
         }
     ledger = folder / "results"
     with show("verified", "segments") as progress:
@@ -200,11 +202,11 @@ def reproduce(
         folder / "report.pdf",
         workers=processes,
         demanded=demanded,
-        beside=[folder / one.name for one in experiments if one.name != "results"],
+        beside=[folder / experiment.name for experiment in experiments if experiment.name != "results"],
         numbers_out=folder / "reproduction.json",
         showing=show,
     )
-    return Reproduced(folder, made, table)
+    return Reproduced(folder, results, table)
 
 
 def _carried_out(
@@ -216,7 +218,7 @@ def _carried_out(
     *,
     adopts: bool,
 ) -> "SimulationResult":
-    """Append all parts of an experiment to its ledger, one after the other; return its head and counts then.
+    """Append all parts of an experiment to its ledger, one after the other; return its final head and counts.
 
     A signer signs the ledger of the results under its own name, and the others under names of their own.
     """
@@ -225,12 +227,12 @@ def _carried_out(
     origin = experiment.origin if signer is None else None
     for part in experiment.parts:
         with showing(f"{experiment.name}: simulated", "batches") as progress:
-            made = run_experiment(out, part, workers, progress, signer, origin, adopts=adopts)
-    return msgspec.structs.replace(made, runs_asked=experiment.size)
+            result = run_experiment(out, part, workers, progress, signer, origin, adopts=adopts)
+    return msgspec.structs.replace(result, runs_asked=experiment.size)
 
 
 def beyond(result: "SimulationResult") -> list[str]:
-    """Return a line on runs beyond those asked for, which are judged too; none where there are none."""
+    """Return a line on runs beyond the requested ones, which are judged too; empty if there are none."""
     if not (more := result.runs_held - result.runs_asked):
         return []
     return [

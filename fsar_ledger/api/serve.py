@@ -33,14 +33,14 @@ def require_service() -> None:
 
 
 class ServedFederation(Answer):
-    """A server of a federation; to show the answer is to serve until SIGTERM or Ctrl-C."""
+    """A federation server; showing the answer serves until SIGTERM or Ctrl-C."""
 
     def __init__(self, out: Path, run: str, principals: Path, host: str, port: int, rate: int, **given: Any) -> None:
         self._out, self._run, self._principals, self._given = out, run, principals, given
         self._host, self._port, self._rate = host, port, rate
 
     def text(self, _: Screen) -> Iterator[SafeText]:
-        """Show the address once the federation is open, and serve; nothing is left to yield."""
+        """Show the address once the federation is open, and serve; yields nothing."""
         require_service()
         from fsar_ledger.service import Principals
         from fsar_ledger.service.server import Service
@@ -52,9 +52,9 @@ class ServedFederation(Answer):
 
         service = Service(self._out, self._run, opened, Principals(self._principals), self._rate, self._viewed)
         certificate, key = self._given["certificate"], self._given["certificate_key"]
-        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-        with self._listening() as listening:
-            host, port = listening.getsockname()[:2]
+        previous = signal.signal(signal.SIGTERM, signal.default_int_handler)
+        with self._listening() as listener:
+            host, port = listener.getsockname()[:2]
             scheme = "http" if certificate is None else "https"
             address = f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"
             ended = Event()
@@ -63,24 +63,24 @@ class ServedFederation(Answer):
                 witnesses.start()
             try:
                 with suppress(KeyboardInterrupt):
-                    service.serve(listening, certificate, key)
+                    service.serve(listener, certificate, key)
             finally:
                 ended.set()
-                signal.signal(signal.SIGTERM, before)
+                signal.signal(signal.SIGTERM, previous)
         self._given["say"]("ended: every decision that was answered is on disk")
         yield from ()
 
     def _ask_witnesses(self, ended: Event) -> None:
-        """Have the newest checkpoint cosigned every so often, as `witness ask` does, until it has ended."""
+        """Have the newest checkpoint cosigned at intervals, as `witness ask` does, until the service has ended."""
         from .files import write_text
         from .key import witness_ask
         from .ledger import open_ledger
 
-        kept = self._out.with_name(f"{self._out.name}.cosigned")
+        file = self._out.with_name(f"{self._out.name}.cosigned")
         while not ended.wait(self._given["witness_every"]):
             try:
-                found = witness_ask(open_ledger(self._out), self._given["policy"])
-                write_text(kept, f"{found.note}")
+                cosigned = witness_ask(open_ledger(self._out), self._given["policy"])
+                write_text(file, f"{cosigned.note}")
             except FsarLedgerError as error:
                 self._given["say"](f"witnesses: {error}")
 
@@ -143,10 +143,10 @@ def serve_federation(
     if policy is not None:
         from fsar_ledger.witness.policy import read_policy
 
-        read_policy(Path(policy))  # so that what is wrong with it is told before anything begins
+        read_policy(Path(policy))  # so that its errors are reported before anything begins
     settings = names_of(settings) or ()
-    given = {"fleet": fleet, "robots": robots, "settings": settings, "origin": origin, "key": key, "cut": cut}
-    given |= {"isolated": isolated, "of": of}
+    founding = {"fleet": fleet, "robots": robots, "settings": settings, "origin": origin, "key": key, "cut": cut}
+    founding |= {"isolated": isolated, "of": of}
     files = [None if file is None else Path(file) for file in (certificate, certificate_key)]
     return ServedFederation(
         Path(out),
@@ -155,7 +155,7 @@ def serve_federation(
         host,
         port,
         rate,
-        federation=given,
+        federation=founding,
         certificate=files[0],
         certificate_key=files[1],
         policy=None if policy is None else Path(policy),
@@ -194,7 +194,7 @@ def principal_new(
 
 
 class DemoPlayback(Answer):
-    """The stories of the demo as they are played; to show the answer is to play them."""
+    """A playback of the stories of the demo; showing the answer plays them."""
 
     def __init__(self, out: Path, by_hand: bool, step_s: float) -> None:
         self._out, self._by_hand, self._step_s = out, by_hand, step_s

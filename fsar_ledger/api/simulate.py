@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from .ledger import Ledger
 
 CONTINUES = "what is committed stays, and the same command continues there"
-"""What an interrupted simulation leaves."""
+"""The effect of an interrupted simulation."""
 
 
 ONE_SCENARIO = either(file.stem for file in RUNTIME.glob("world/scenarios/*.toml"))
@@ -40,14 +40,14 @@ ONE_SCENARIO = either(file.stem for file in RUNTIME.glob("world/scenarios/*.toml
 
 @dataclass(frozen=True)
 class Simulated(Answer):
-    """The result of `simulate`; the ledger may also hold runs from before. `key` is the one to sign with."""
+    """The result of `simulate`; the ledger may also hold earlier runs. `key` is the one to sign with."""
 
     ledger: "Ledger"
     result: "SimulationResult"
     key: Place | None = None
 
     def document(self, _: Screen) -> Mapping[str, object]:
-        """Return the head, and how many runs were made and are there."""
+        """Return the head, and how many runs were requested, made and held."""
         head, counts = (
             self.result.head,
             {name: getattr(self.result, name) for name in ("runs_asked", "runs_made", "runs_held")},
@@ -55,13 +55,13 @@ class Simulated(Answer):
         return {"head": head_json(head), "ledger": str(self.ledger.path), "commits": head.commits, **counts}
 
     def text(self, _: Screen) -> Iterator[SafeText]:
-        """Yield the head of the ledger, what was there before, and its signature."""
-        head, place = self.result.head, self.ledger.path
+        """Yield the head of the ledger, the counts of new and existing runs, and its signature."""
+        head, path = self.result.head, self.ledger.path
         yield printable.lines(
-            f"{place}: {counted(head.size, 'event')} in {counted(head.commits, 'commit')}",
+            f"{path}: {counted(head.size, 'event')} in {counted(head.commits, 'commit')}",
             f"root {head.root}",
             *before(self.result),
-            *([] if self.key is None else [_signed(place, Path(self.key))]),
+            *([] if self.key is None else [_signed(path, Path(self.key))]),
         )
 
 
@@ -167,21 +167,21 @@ def simulate(
     )
     signer = signer_of(key, adopts=adopt)
     processes = workers_of(workers, experiment.size * experiment.fleet_size // WORTH_ROBOTS)
-    made = run_experiment(Path(out), experiment, processes, progress, signer, origin_of(origin), adopts=adopt)
-    return Simulated(Ledger(out), made, key)
+    result = run_experiment(Path(out), experiment, processes, progress, signer, origin_of(origin), adopts=adopt)
+    return Simulated(Ledger(out), result, key)
 
 
 def before(result: "SimulationResult") -> list[str]:
-    """Return a line on the runs that were there already, if there were any."""
+    """Return a line on the runs that already existed, if any."""
     more = result.runs_held - result.runs_asked
     others = f", and {more:,} more" if more else ""
     if not result.runs_made:
         are = "is" if result.runs_asked == 1 else "are"
         return [f"nothing to do: the {counted(result.runs_asked, 'run')} asked for {are} there{others}"]
     if result.runs_made < result.runs_asked:
-        there = result.runs_asked - result.runs_made
+        earlier = result.runs_asked - result.runs_made
         return [
-            f"made {counted(result.runs_made, 'run')}; {there:,} of the {result.runs_asked:,} asked for were already "
+            f"made {counted(result.runs_made, 'run')}; {earlier:,} of the {result.runs_asked:,} asked for were already "
             f"there{others}"
         ]
     return [f"made {counted(result.runs_made, 'run')}, beside {more:,} of other experiments"] if more else []

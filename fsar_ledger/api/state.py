@@ -1,4 +1,4 @@
-"""The verbs `state` and `step`: how things stood at a moment of a run, and a walk through its moments."""
+"""The verbs `state` and `step`: the situation at a moment of a run, and a walk through its moments."""
 
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping
@@ -29,12 +29,12 @@ BESIDE = "    "
 
 
 class Moment(Answer, msgspec.Struct, frozen=True, kw_only=True):
-    """How things stood in a run at a time.
+    """The situation in a run at a time.
 
     `seq` is the last event that had happened by then, and `event_s` its time; `ends_s` that of the last of the run.
-    `clock` is the time in UTC, None where the run does not know when it began. `commit` is the commit of the ledger,
-    from 1, that recorded the run. `beliefs` are what a decider had been told, None unless asked for. `state` are the
-    projections themselves. Units: seconds of run time.
+    `clock` is the time in UTC, None if the run has no epoch. `commit` is the commit of the ledger, from 1, that
+    recorded the run. `beliefs` are what a decider had been told, None unless requested. `state` are the projections
+    themselves. Units: seconds of run time.
     """
 
     run: str
@@ -54,7 +54,7 @@ class Moment(Answer, msgspec.Struct, frozen=True, kw_only=True):
         return {name: value for name, value in Answer.document(self, screen).items() if name != "state"}
 
     def text(self, screen: Screen) -> Iterator[printable.SafeText]:
-        """Yield how things stood, and what was believed."""
+        """Yield the situation, and what was believed."""
         yield printable.lines(
             screen.run_text(self.run),
             *([] if self.clock is None else [f"at {self.clock}"]),
@@ -63,8 +63,8 @@ class Moment(Answer, msgspec.Struct, frozen=True, kw_only=True):
             *standing_lines(self.standing),
         )
         if self.beliefs is not None:
-            told = (f"{BESIDE}{line}" for line in map(_belief, self.beliefs))
-            yield printable.lines("", "what it had been told, and what held", *told)
+            beliefs = (f"{BESIDE}{line}" for line in map(_belief, self.beliefs))
+            yield printable.lines("", "what it had been told, and what held", *beliefs)
 
 
 @verb(
@@ -106,13 +106,13 @@ def state(
     view, provenance = present(ledger)
     with about_run(view, run, ledger.demanded) as (database, name, _):
         at_us = time_of(database, "at", at, name)
-        whose = None if robot is None else robot_of(database, robot, name)
+        robot_name = None if robot is None else robot_of(database, robot, name)
         busy_us = _busy_us(database, name)
     commits = len(view.commits)
-    found = commits_of(view, name)
+    run_commits = commits_of(view, name)
 
     def commit_with(seq: int) -> int:
-        return found[bisect_right(found, seq, key=itemgetter(0)) - 1][1] + 1
+        return run_commits[bisect_right(run_commits, seq, key=itemgetter(0)) - 1][1] + 1
 
     if by_commit is not None:
         if not 0 <= by_commit <= commits:
@@ -126,7 +126,7 @@ def state(
     ends_us = end_of(view, name, size)
     at_us = ends_us if at_us is None else at_us
     past = past_at(pieces_of(view, name, size), at_us)
-    stands = situation(past, busy_us, whose)
+    standing = situation(past, busy_us, robot_name)
     return Moment(
         run=name,
         at_s=at_us / 1e6,
@@ -135,21 +135,21 @@ def state(
         ends_s=ends_us / 1e6,
         clock=clock(past.started, at_us),
         commit=commit_with(past.seq),
-        standing=stands,
+        standing=standing,
         beliefs=None if as_known_by is None else beliefs(past, as_known_by, at_us),
         state=past.state,
-        provenance=of_run(provenance, stands.not_observed),
+        provenance=of_run(provenance, standing.not_observed),
     )
 
 
 def _busy_us(database: "Database", run: str) -> dict[str, int]:
-    """Return until when each robot of the run may be in what began before its record."""
+    """Return until when each robot of the run may be busy with what began before its record."""
     rows = database.rows("SELECT robot, until_us FROM busy_before WHERE run_id = $run", {"run": run})
     return {row["robot"]: row["until_us"] for row in rows}
 
 
 def standing_lines(found: "Situation") -> Iterator[str]:
-    """Yield how things stand: a paragraph for each robot, and one for each kind of what is open."""
+    """Yield the lines of a situation: a paragraph for each robot, and one for each kind of open item."""
     for robot in found.robots or ():
         yield ""
         yield from _robot(robot)
@@ -163,96 +163,101 @@ def standing_lines(found: "Situation") -> Iterator[str]:
         yield f"not observed, so that nothing is said of it: {', '.join(found.not_observed)}"
 
 
-def _robot(one: "RobotNow") -> Iterator[str]:
-    none = "no supervisor" if one.has_supervisor is False else "supervisor ?"
-    signs = [f"supervisor {printable.value(one.supervisor)}"] if one.supervisor else [none]
-    signs += [f"DEPARTED ({one.departed})"] if one.departed else []
-    signs += ["OFF"] if one.is_on is False else []
-    signs += ["NOT LINKED"] if one.is_linked is False else []
-    signs += [f"actuator {one.grade}"] if one.grade else []
-    role, team = printable.value(one.role or "?"), one.team or "?"
-    yield f"{printable.value(one.robot)}  role {role}, team {team}; {', '.join(signs)}"
-    if not one.work:
-        yield f"{BESIDE}{'idle' if one.is_idle else 'what it does is not observed'}"
-    for work in one.work:
+def _robot(robot: "RobotNow") -> Iterator[str]:
+    none = "no supervisor" if robot.has_supervisor is False else "supervisor ?"
+    signs = [f"supervisor {printable.value(robot.supervisor)}"] if robot.supervisor else [none]
+    signs += [f"DEPARTED ({robot.departed})"] if robot.departed else []
+    signs += ["OFF"] if robot.is_on is False else []
+    signs += ["NOT LINKED"] if robot.is_linked is False else []
+    signs += [f"actuator {robot.grade}"] if robot.grade else []
+    role, team = printable.value(robot.role or "?"), robot.team or "?"
+    yield f"{printable.value(robot.robot)}  role {role}, team {team}; {', '.join(signs)}"
+    if not robot.work:
+        yield f"{BESIDE}{'idle' if robot.is_idle else 'what it does is not observed'}"
+    for work in robot.work:
         what = f" {printable.value(work.capability)}" if work.capability else ""
         whose = f" for {printable.value(work.on_behalf_of)}" if work.on_behalf_of else ""
         until = "" if work.ends_s is None else f", until {work.ends_s:.3f} s"
         late = "; its beginning is not on record" if work.capability is None and work.stage != "helping" else ""
         yield f"{BESIDE}{work.stage} {printable.value(work.action_id)}{what}{whose}{until}{late}"
-    if one.queue:
-        yield f"{BESIDE}waiting: {printable.some(map(printable.value, one.queue))}"
-    if one.obstructions:
-        yield f"{BESIDE}in its way: {printable.some(map(printable.value, one.obstructions))}"
-    for window in one.windows or ():
+    if robot.queue:
+        yield f"{BESIDE}waiting: {printable.some(map(printable.value, robot.queue))}"
+    if robot.obstructions:
+        yield f"{BESIDE}in its way: {printable.some(map(printable.value, robot.obstructions))}"
+    for window in robot.windows or ():
         yield (
             f"{BESIDE}{window.scope} policy: {window.outcome}, window {printable.value(window.window)} since "
             f"{window.since_s:.3f} s (event {window.seq})"
         )
-    for availability, names in (one.offers or {}).items():
+    for availability, names in (robot.offers or {}).items():
         if availability != "ready":
             yield f"{BESIDE}offers as {availability}: {printable.some(map(printable.value, names))}"
 
 
 def _steps_done(count: int) -> str:
-    """Return what is known of a task of which nobody says how many steps it has."""
+    """Describe the progress of a task whose number of steps is not on record."""
     return f"{count} steps done, of how many is not on record" if count else "its steps are not on record"
 
 
-def _lists(found: "Situation") -> Mapping[str, list[str]]:
+def _lists(situation: "Situation") -> Mapping[str, list[str]]:
     text = printable.value
     return {
         "tasks": [
-            f"{text(one.task_id)} of {text(one.robot or '?')}: "
-            + (_steps_done(one.steps_done) if one.steps is None else f"{one.steps_done} of {one.steps} steps done")
-            + (f", now {text(one.step)}" if one.step else "")
-            + (f", attempt {one.attempt}" if one.attempt > 1 else "")
-            + ("" if one.due_s is None else f"; due {one.due_s:.3f} s")
-            for one in found.tasks or ()
+            f"{text(task.task_id)} of {text(task.robot or '?')}: "
+            + (_steps_done(task.steps_done) if task.steps is None else f"{task.steps_done} of {task.steps} steps done")
+            + (f", now {text(task.step)}" if task.step else "")
+            + (f", attempt {task.attempt}" if task.attempt > 1 else "")
+            + ("" if task.due_s is None else f"; due {task.due_s:.3f} s")
+            for task in situation.tasks or ()
         ],
         "requests": [
             f"{text(one.action_id)} {text(one.capability)}: {text(one.requester)} -> {text(one.target or '?')}, "
             f"{one.phase}"
-            for one in found.requests or ()
+            for one in situation.requests or ()
             if one.target != one.requester
         ],
-        "claims": [f"{text(one.action_id)} {one.dimension}: {text(one.claimant)}" for one in found.claims or ()],
+        "claims": [
+            f"{text(claim.action_id)} {claim.dimension}: {text(claim.claimant)}" for claim in situation.claims or ()
+        ],
         "recoveries": [
-            f"{text(one.action_id)} at {text(one.robot)}: {text(one.cause or 'cause not on record')}, "
-            + (f"level {one.level}, {one.attempts} attempts" if one.level else "how is not observed")
-            + ("" if one.since_s is None else f", since {one.since_s:.3f} s")
-            for one in found.recoveries or ()
+            f"{text(recovery.action_id)} at {text(recovery.robot)}: {text(recovery.cause or 'cause not on record')}, "
+            + (f"level {recovery.level}, {recovery.attempts} attempts" if recovery.level else "how is not observed")
+            + ("" if recovery.since_s is None else f", since {recovery.since_s:.3f} s")
+            for recovery in situation.recoveries or ()
         ],
         "calls": [
-            f"{one.number}: {text(one.supervisor)} about {text(one.action_id)}, {one.purpose}"
-            for one in found.calls or ()
+            f"{call.number}: {text(call.supervisor)} about {text(call.action_id)}, {call.purpose}"
+            for call in situation.calls or ()
         ],
-        "supervisors off shift": [text(one) for one in found.off_shift or ()],
+        "supervisors off shift": [text(name) for name in situation.off_shift or ()],
         "rules": [
-            f"{one.scope} {one.outcome} for {text(one.robot or 'every robot')}{_limits(one)}"
-            for one in found.rules or ()
+            f"{rule.scope} {rule.outcome} for {text(rule.robot or 'every robot')}{_limits(rule)}"
+            for rule in situation.rules or ()
         ],
-        "trust": [f"{text(one.robot)} -> {text(one.peer)}: {one.scope}{_limits(one)}" for one in found.trust or ()],
+        "trust": [
+            f"{text(trust.robot)} -> {text(trust.peer)}: {trust.scope}{_limits(trust)}"
+            for trust in situation.trust or ()
+        ],
     }
 
 
-def _limits(one: "RuleNow | TrustNow") -> str:
+def _limits(rule: "RuleNow | TrustNow") -> str:
     """Return the capability and the task that a rule or trust is limited to."""
-    capability = f", {printable.value(one.capability)}" if one.capability else ""
-    return capability + (f", task {printable.value(one.task)}" if one.task else "")
+    capability = f", {printable.value(rule.capability)}" if rule.capability else ""
+    return capability + (f", task {printable.value(rule.task)}" if rule.task else "")
 
 
-def _belief(one: "Belief") -> str:
-    about = f"{printable.value(one.about)}, {one.what}"
-    holds = "what holds is not observed" if one.holds is None else f"is {one.holds}"
-    if one.believed is None:
-        return f"{about}: {'never told' if one.was_told is False else 'what it was told is not observed'}; {holds}"
-    age = "" if one.age_s is None else f" ({one.age_s:.3f} s old)"
-    return f"{about}: {one.believed}{age}" + (f", {holds}" if one.is_stale is not False else "")
+def _belief(belief: "Belief") -> str:
+    about = f"{printable.value(belief.about)}, {belief.what}"
+    holds = "what holds is not observed" if belief.holds is None else f"is {belief.holds}"
+    if belief.believed is None:
+        return f"{about}: {'never told' if belief.was_told is False else 'what it was told is not observed'}; {holds}"
+    age = "" if belief.age_s is None else f" ({belief.age_s:.3f} s old)"
+    return f"{about}: {belief.believed}{age}" + (f", {holds}" if belief.is_stale is not False else "")
 
 
 class Steps:
-    """A walk through a run of a ledger: where it is, what happened there, and how things stand."""
+    """A walk through a run of a ledger: its current event, what happened there, and the situation."""
 
     def __init__(
         self, record: "LedgerRun", provenance: "Provenance", busy_us: Mapping[str, int], at_us: int | None
@@ -267,13 +272,13 @@ class Steps:
         self.provenance = of_run(provenance, Coverage(record.events[0]).lacking.values())
         self._record, self._busy_us = record, busy_us
         self._timeline = Timeline(record)
-        found = lines_of([record], [(record.run_id, seq) for seq in range(len(record.events))])
-        self.words = [found[(record.run_id, seq)].text for seq in range(len(record.events))]
+        lines = lines_of([record], [(record.run_id, seq) for seq in range(len(record.events))])
+        self.words = [lines[(record.run_id, seq)].text for seq in range(len(record.events))]
         self._walk = Walk(record, self.words, 0 if at_us is None else self._timeline.seq_at(at_us))
 
     @property
     def seq(self) -> int:
-        """Return the event at which the walk is."""
+        """Return the seq of the current event."""
         return self._walk.seq
 
     @property
@@ -289,12 +294,12 @@ class Steps:
         """Make a move (`analysis/moments.py: MOVES`); return why it leads nowhere, or None.
 
         Raises:
-            UsageError: There is no such move, it lacks what it needs, or a time is none.
+            UsageError: There is no such move, it lacks what it needs, or a time is invalid.
         """
         return self._walk.move(name, about, self._seq_at)
 
     def fields(self) -> Iterator[tuple[str, object]]:
-        """Yield the fields of the event at which the walk is, its type, time and cause first."""
+        """Yield the fields of the current event, its type, time and cause first."""
         from fsar_ledger.events.envelope import flat
 
         event = self._record.events[self.seq]
@@ -304,7 +309,7 @@ class Steps:
         yield from flat(event).items()
 
     def standing(self, robot: str | None = None) -> "Situation":
-        """Return how things stand after the event at which the walk is."""
+        """Return the situation after the current event."""
         from fsar_ledger.analysis.situation import situation
 
         return situation(self._timeline.past(self.seq), self._busy_us, robot)

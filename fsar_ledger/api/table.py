@@ -26,11 +26,11 @@ NOTHING = Provenance()
 SHOWN_ROWS = 20
 """Rows that a notebook shows."""
 SETTING = ("family", "family_tests", "seed", "seeds", "kind", "source", "model_version", "constants")
-"""Columns of metrics that people are shown only where they tell rows apart."""
+"""Columns of metrics that text shows only if they distinguish rows."""
 
 
 class Rows(Answer):
-    """Rows that are read once, some megabytes at a time, so that a long answer is never in memory as a whole."""
+    """Rows that are read once, some megabytes at a time, so that a long answer is never in memory whole."""
 
     def __init__(self, provenance: Provenance, columns: Sequence[str], batches: Iterable[pa.RecordBatch]) -> None:
         self.provenance = provenance
@@ -38,7 +38,7 @@ class Rows(Answer):
         """The names of the columns."""
         self._batches = batches
         self.name = "rows"
-        """What they are called in JSON."""
+        """Their name in JSON."""
 
     def batches(self) -> Iterable[pa.RecordBatch]:
         """Return the rows in Arrow, some megabytes at a time."""
@@ -49,11 +49,11 @@ class Rows(Answer):
         return self
 
     def columns_shown(self) -> list[str]:
-        """Return the columns that people are shown."""
+        """Return the columns that are shown as text."""
         return self.columns
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
-        """Yield the first rows as a table, in which a terminal names runs by their numbers, and how many there are.
+        """Yield the first rows as a table, on a terminal with runs by number, and how many more there are.
 
         Raises:
             QueryFailed: Python cannot hold a date or time.
@@ -62,8 +62,8 @@ class Rows(Answer):
         count, columns = 0, self.columns_shown()
         constant = Constant(columns if screen.is_fitted else ())
         for batch in self.batches():
-            wanted = batch.slice(0, screen.limit - len(shown)) if screen.limit else batch
-            shown += [row for rows in rows_of(wanted) for row in rows]
+            part = batch.slice(0, screen.limit - len(shown)) if screen.limit else batch
+            shown += [row for rows in rows_of(part) for row in rows]
             count += len(batch)
             constant.see(batch)
         yield fitted(shown, columns, screen.width, screen.numbers, constant.names) or SafeText("(no rows)\n")
@@ -138,9 +138,9 @@ class Table(Rows):
 
 
 class MetricTable(Table):
-    """Rows about metrics. People are shown a setting only where it tells rows apart.
+    """Rows about metrics, shown as text with only those settings that distinguish rows.
 
-    In no row are `left_out` runs, which have no scenario, where each row is of one.
+    `left_out` counts the runs without a scenario, which are in no row if each row is of one scenario.
     """
 
     def __init__(self, rows: pa.Table, provenance: Provenance = NOTHING, *, left_out: int = 0) -> None:
@@ -153,7 +153,7 @@ class MetricTable(Table):
         return [f"{printable.counted(self.left_out, 'run')} without a scenario {are} in no row"] * (self.left_out > 0)
 
     def columns_shown(self) -> list[str]:
-        """Return the columns that people are shown."""
+        """Return the columns that are shown as text."""
         return telling(self.rows())
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
@@ -164,19 +164,19 @@ class MetricTable(Table):
 
 
 class Listing(Answer, msgspec.Struct, frozen=True, kw_only=True):
-    """Rows about a run, with words for when there are none, and a hint of how to ask about the first.
+    """Rows about a run, with a text for when there are none, and a hint for the first row.
 
     Attributes:
         run: The name of the run.
         found: The rows.
-        time: The column of times, which people read with three digits.
-        nothing: What there is none of.
-        unseen: What is added to that where not all that it rests on was observed.
+        time: The column of times, shown with three decimals.
+        nothing: What the rows are called if there are none.
+        unseen: What is added to that if not everything that the rows rest on was observed.
         hint: Returns the hint for the first row.
         undrawn: Why it cannot be drawn.
-        columns: Those that people are shown, by whether they are fitted to a terminal; None: all.
-        name: What the rows are called in JSON.
-        about: What JSON says besides.
+        columns: The columns shown, by whether they are fitted to a terminal; None: all.
+        name: The name of the rows in JSON.
+        about: Other fields of the JSON document.
     """
 
     run: str
@@ -192,7 +192,7 @@ class Listing(Answer, msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def provenance(self) -> Provenance:
-        """What the rows hold for."""
+        """The provenance of the rows."""
         return self.found.provenance
 
     def draw(self, file: Place, kind: str | None = None) -> None:
@@ -217,7 +217,7 @@ class Listing(Answer, msgspec.Struct, frozen=True, kw_only=True):
 
 
 def telling(rows: Sequence[Row]) -> list[str]:
-    """Return the columns, without those of a setting that is the same in every row."""
+    """Return the columns, without settings that are the same in every row."""
     return [name for name in (rows[0] if rows else ()) if name not in SETTING or len({row[name] for row in rows}) > 1]
 
 
@@ -255,21 +255,21 @@ def of_structs(rows: Sequence[msgspec.Struct], kind: type[msgspec.Struct]) -> pa
 def _arrow_type(kind: msgspec.inspect.Type) -> pa.DataType | None:
     """Return the Arrow type of a field; None where Arrow infers it from the values."""
     options = kind.types if isinstance(kind, msgspec.inspect.UnionType) else (kind,)
-    named: dict[type, pa.DataType] = {
+    types: dict[type, pa.DataType] = {
         msgspec.inspect.StrType: pa.string(),
         msgspec.inspect.IntType: pa.int64(),
         msgspec.inspect.FloatType: pa.float64(),
         msgspec.inspect.BoolType: pa.bool_(),
     }
-    found = [named.get(type(one)) for one in options if not isinstance(one, msgspec.inspect.NoneType)]
+    found = [types.get(type(option)) for option in options if not isinstance(option, msgspec.inspect.NoneType)]
     return found[0] if len(found) == 1 else None
 
 
 def _with_integers(table: pa.Table) -> pa.Table:
-    for at, field in enumerate(table.schema):
+    for index, field in enumerate(table.schema):
         if pa.types.is_decimal(field.type) and field.type.scale == 0:
             try:
-                table = table.set_column(at, field.name, table.column(at).cast(pa.int64()))
+                table = table.set_column(index, field.name, table.column(index).cast(pa.int64()))
             except pa.ArrowInvalid:  # too large for 64 bits: it stays a decimal
                 continue
     return table

@@ -1,10 +1,10 @@
 """Tables for people: fitted to a terminal, plain everywhere else. Nothing here prints.
 
 A row is a mapping from column to value; all rows of an answer have the same columns. NULL is `-`, and a list JSON text.
-On a terminal a column that is the same in every row of the answer is said once above, runs are shown by their numbers,
-or their ids lose the parts that they share, long cells continue on further lines behind a mark, and columns for which
-there is no room are named below. A single row that does not fit is shown as a list. With `--wide`, or where the output
-is no terminal, a table is plain (`table_text`). Cells are escaped (`printable`) before they are measured.
+On a terminal a column that is the same in every row of the answer is stated once above, runs are shown by their
+numbers, or their ids lose the parts that they share, long cells continue on further lines after a mark, and columns
+that do not fit are named below. A single row that does not fit is shown as a list. With `--wide`, or if the output is
+not a terminal, a table is plain (`table_text`). Cells are escaped (`printable`) before they are measured.
 """
 
 import re
@@ -24,23 +24,23 @@ if TYPE_CHECKING:
 GAP = 2
 """Columns of the terminal between two columns of a table."""
 MARK = "|"
-"""What begins a line that continues the row above, so that it does not begin with text from a ledger."""
+"""The beginning of a line that continues the row above, so that it does not begin with text from a ledger."""
 NAMED_ITEMS, LONGEST_LIST = 3, 48
-"""The items of a list that a cell names if all of them take more characters than this."""
+"""The number of items that a cell names of a list that is longer than the second, in characters."""
 LEAST, LONGEST_WORD = 12, 20
-"""Characters below which a column of text is not narrowed, or the longest word in it up to the second."""
+"""The least width of a column of text, or its longest word up to the second, in characters."""
 SHORT, LONGEST_NAME = 9, 16
-"""Characters up to which the name of a column, and a name in a cell, stays on one line."""
+"""The longest name of a column, and name in a cell, that stays on one line, in characters."""
 TALLEST = 8
-"""Lines of a cell; of a longer one the beginning is shown."""
+"""The most lines of a cell; of a longer one the beginning is shown."""
 NAMED_EMPTY = 12
-"""How many columns without a value are named."""
+"""The number of columns without a value that are named."""
 _BREAKS = re.compile(r"[^ /._,:;=-]*(?: +|[/._,:;=-]+|$)")
 _PARTED = re.compile(r"[\s,;:'\"]|^$")
 _RUNS = ("run_id", "first_run")
 
 Numbers = Callable[[], Mapping[str, int]]
-"""Gives the number of each run that has one, by its name."""
+"""Returns the number of each numbered run by name."""
 
 
 class Column(NamedTuple):
@@ -57,7 +57,7 @@ class Column(NamedTuple):
 
     @property
     def least(self) -> int:
-        """Return the least width to read it at: a number stays whole, text has some room."""
+        """Return the least readable width: a number stays whole, text has some room."""
         cells = max(map(_width, self.cells))
         word = max(_width(piece) for cell in self.cells for piece in _pieces(cell, LONGEST_NAME))
         text = min(cells, max(LEAST, min(word, LONGEST_WORD)))
@@ -98,48 +98,48 @@ def fitted(
     numbers: Numbers = dict,
     constant: Collection[str] | None = None,
 ) -> SafeText:
-    """Return the rows as a table that is no wider than a terminal of this width; None: one that is not fitted.
+    """Return the rows as a table that is no wider than a terminal of this width; None: a plain table.
 
-    A table that fits a terminal names runs by their `numbers`, unless it has a column of these itself. Where these are
-    not all rows of the answer, `constant` are the columns that are the same in all of them.
+    A fitted table names runs by their `numbers`, unless it has a column of these itself. If the answer has more rows
+    than these, `constant` are the columns that are the same in all of them.
     """
     if width is None or not rows or not columns:
         return table_text(rows, columns)
     values = [[row[name] for row in rows] for name in columns]
     same = [
-        all(one == cells[0] for one in cells) and (constant is None or name in constant)
+        all(cell == cells[0] for cell in cells) and (constant is None or name in constant)
         for name, cells in zip(columns, values, strict=True)
     ]
-    stands_for = _numbered(columns, values, numbers() if set(columns) & set(_RUNS) else {})
-    found = [_column(name, cells) for name, cells in zip(columns, values, strict=True)]
-    if len(rows) == 1 and _total([column.natural for column in found]) > width:
-        return printable.joined(_listed(found), *map(printable.line, stands_for))
-    above, telling = _said_once(found, same) if len(rows) > 1 else ([], found)
-    above += stands_for
-    widths = _widths(telling, width)
-    left_out = [_quoted(column.name) for column in telling[len(widths) :]]
+    number_lines = _numbered(columns, values, numbers() if set(columns) & set(_RUNS) else {})
+    laid = [_column(name, cells) for name, cells in zip(columns, values, strict=True)]
+    if len(rows) == 1 and _total([column.natural for column in laid]) > width:
+        return printable.joined(_listed(laid), *map(printable.line, number_lines))
+    above, differing = _said_once(laid, same) if len(rows) > 1 else ([], laid)
+    above += number_lines
+    widths = _widths(differing, width)
+    left_out = [_quoted(column.name) for column in differing[len(widths) :]]
     below = [f"not shown: {_some(left_out)}; --wide shows all"] if left_out else []
     lines = printable.lines(*above, *([""] if above else []))
-    return printable.joined(lines, _laid_out(telling, widths), *map(printable.line, below))
+    return printable.joined(lines, _laid_out(differing, widths), *map(printable.line, below))
 
 
 def _numbered(columns: Sequence[str], values: list[list[object]], numbers: Mapping[str, int]) -> list[str]:
-    """Put numbers in place of the names of runs, and return lines that say what one stands for.
+    """Replace the names of runs by numbers, and return lines that say what one of them stands for.
 
-    A column stays as it is where another text in it could be taken for a number, or another column has the numbers.
+    A column stays as it is if another text in it could be taken for a number, or another column has the numbers.
     """
     lines = []
-    for place, name in enumerate(columns):
+    for index, name in enumerate(columns):
         if name not in _RUNS:
             continue
-        known = [numbers.get(value) if isinstance(value, str) else None for value in values[place]]
-        mixed = [value if number is None else number for value, number in zip(values[place], known, strict=True)]
-        is_doubtful = any(number is None and str(one).isdecimal() for one, number in zip(mixed, known, strict=True))
-        if not any(known) or is_doubtful or any(known == cells for cells in values):
+        mapped = [numbers.get(value) if isinstance(value, str) else None for value in values[index]]
+        mixed = [value if number is None else number for value, number in zip(values[index], mapped, strict=True)]
+        is_doubtful = any(number is None and str(cell).isdecimal() for cell, number in zip(mixed, mapped, strict=True))
+        if not any(mapped) or is_doubtful or any(mapped == cells for cells in values):
             continue
-        number, run = next((number, value) for number, value in zip(known, values[place], strict=True) if number)
+        number, run = next((number, value) for number, value in zip(mapped, values[index], strict=True) if number)
         lines.append(f"{name} {number} is {_quoted(printable.cell(str(run)))}; --wide shows the names")
-        values[place] = mixed
+        values[index] = mixed
     return lines
 
 
@@ -164,19 +164,19 @@ def _quoted(text: str) -> str:
 
 
 def _said_once(columns: Sequence[Column], is_same: Sequence[bool]) -> tuple[list[str], list[Column]]:
-    """Return lines on what is the same in every row, and the columns that differ; one at least."""
-    is_said = [False, *is_same[1:]] if all(is_same) else is_same
-    same = [column for column, said in zip(columns, is_said, strict=True) if said]
-    differing = [column for column, said in zip(columns, is_said, strict=True) if not said]
-    valued = [f"{_quoted(one.name)} {_quoted(one.cells[0])}" for one in same if one.cells[0] != "-"]
-    empty = [_quoted(one.name) for one in same if one.cells[0] == "-"]
+    """Return lines on what is the same in every row, and the columns that differ, at least one."""
+    is_constant = [False, *is_same[1:]] if all(is_same) else is_same
+    same = [column for column, constant in zip(columns, is_constant, strict=True) if constant]
+    differing = [column for column, constant in zip(columns, is_constant, strict=True) if not constant]
+    valued = [f"{_quoted(column.name)} {_quoted(column.cells[0])}" for column in same if column.cells[0] != "-"]
+    empty = [_quoted(column.name) for column in same if column.cells[0] == "-"]
     lines = [f"in every row: {', '.join(valued)}"] if valued else []
     lines += [f"NULL in every row: {_some(empty)}"] if empty else []
-    for place, column in enumerate(differing):
-        others = [one for one in columns if one.name != column.name]
+    for index, column in enumerate(differing):
+        others = [other for other in columns if other.name != column.name]
         if column.name in _RUNS and (short := _shortened(column.cells, others)) is not None:
             pattern, cells = short
-            differing[place] = column._replace(cells=cells)
+            differing[index] = column._replace(cells=cells)
             lines.append(f"{column.name} {_quoted(pattern)}: rows show what stands for each *")
     return lines, differing
 
@@ -187,23 +187,23 @@ def _some(names: Sequence[str]) -> str:
 
 
 def _shortened(runs: Sequence[str], columns: Sequence[Column]) -> tuple[str, list[str]] | None:
-    """Return a pattern for the names of these runs, and of each name what stands for the * in it.
+    """Return a pattern for the names of these runs, and for each name the text that the * stands for.
 
-    The pattern has the parts that all names share, and for one that another column gives, the name of that column.
-    None if there is one name, if they do not have equally many parts, or if only a * could stand for each part.
+    The pattern has the parts that all names share, and the name of a column for a part that this column gives. None if
+    there is only one name, if the names differ in their number of parts, or if each part would be a *.
     """
     split = [run.split(".") for run in runs]
     if len(set(runs)) == 1 or len({len(parts) for parts in split}) > 1:
         return None
     pattern = [_part(texts, columns) for texts in zip(*split, strict=True)]
-    cells = [" ".join(part for part, known in zip(parts, pattern, strict=True) if known == "*") for parts in split]
-    given = [[part for part, known in zip(parts, pattern, strict=True) if known != "*"] for parts in split]
-    told = {(cell, *parts) for cell, parts in zip(cells, given, strict=True)}
-    return (".".join(pattern), cells) if any(given) and len(told) == len(set(runs)) else None
+    cells = [" ".join(part for part, symbol in zip(parts, pattern, strict=True) if symbol == "*") for parts in split]
+    fixed = [[part for part, symbol in zip(parts, pattern, strict=True) if symbol != "*"] for parts in split]
+    distinct = {(cell, *parts) for cell, parts in zip(cells, fixed, strict=True)}
+    return (".".join(pattern), cells) if any(fixed) and len(distinct) == len(set(runs)) else None
 
 
 def _part(texts: Sequence[str], columns: Sequence[Column]) -> str:
-    """Return what all these texts are, else the column that gives them, else *."""
+    """Return the text if all are the same, else the column that gives them, else *."""
     if len(set(texts)) == 1:
         return texts[0]
     return next((f"<{column.name}>" for column in columns if column.cells == [*texts]), "*")
@@ -225,10 +225,10 @@ def _widths(columns: Sequence[Column], width: int) -> list[int]:
     most = max(cells)
     while most > 1 and _total([_narrowed(cell, low, most) for cell, low in zip(cells, least, strict=True)]) > room:
         most -= 1
-    found = [_narrowed(cell, low, most) for cell, low in zip(cells, least, strict=True)]
-    for place, column in enumerate(columns[: len(found)]):  # what is left goes to names, from the left
-        found[place] += max(0, min(column.natural - found[place], room - _total(found)))
-    return found
+    widths = [_narrowed(cell, low, most) for cell, low in zip(cells, least, strict=True)]
+    for index, column in enumerate(columns[: len(widths)]):  # what is left goes to names, from the left
+        widths[index] += max(0, min(column.natural - widths[index], room - _total(widths)))
+    return widths
 
 
 def _narrowed(cell: int, low: int, most: int) -> int:
@@ -247,9 +247,9 @@ def _laid_out(columns: Sequence[Column], widths: Sequence[int]) -> SafeText:
     body = [[_cut(_broken(column.cells[row], wide)) for column, wide in chosen] for row in range(len(columns[0].cells))]
     lines = []
     for row in (head, rule, *body):
-        for at in range(max(map(len, row))):
-            cells = (_padded(cell[at : at + 1], *one) for cell, one in zip(row, chosen, strict=True))
-            lines.append((MARK if at else " ", (" " * GAP).join(cells).rstrip(" ")))
+        for cell_line in range(max(map(len, row))):
+            cells = (_padded(cell[cell_line : cell_line + 1], *slot) for cell, slot in zip(row, chosen, strict=True))
+            lines.append((MARK if cell_line else " ", (" " * GAP).join(cells).rstrip(" ")))
     is_marked = any(mark == MARK for mark, _ in lines)
     return SafeText("".join(f"{mark} {line}\n" if is_marked else f"{line}\n" for mark, line in lines))
 
@@ -269,7 +269,7 @@ def _listed(columns: Sequence[Column]) -> SafeText:
 
 
 def _pieces(text: str, most: int) -> list[str]:
-    """Return the pieces between which the text may be broken: one, if it is a name of at most so many characters."""
+    """Return the pieces between which the text may be broken; a name of at most `most` characters is one."""
     return [text] if len(text) <= most and " " not in text else _BREAKS.findall(text)
 
 
@@ -278,7 +278,7 @@ def _cut(lines: list[str]) -> list[str]:
 
 
 def _broken(text: str, width: int) -> list[str]:
-    """Break the text into lines of at most this width, behind blanks and punctuation where there are any."""
+    """Break the text into lines of at most this width, after blanks and punctuation if there are any."""
     lines, line = [], ""
     for piece in _BREAKS.findall(text):
         if _width(line + piece.rstrip(" ")) <= width:
@@ -306,29 +306,29 @@ def _cell_text(value: object) -> str:
         return "-"
     if isinstance(value, float):
         return printable.number(value)
-    shown = field_text(value, raw=False)
+    text = field_text(value, raw=False)
     return (
-        shown
-        if len(shown) <= printable.MAX_VALUE
-        else f"{shown[: printable.MAX_VALUE]}... ({len(shown) - printable.MAX_VALUE:,} more)"
+        text
+        if len(text) <= printable.MAX_VALUE
+        else f"{text[: printable.MAX_VALUE]}... ({len(text) - printable.MAX_VALUE:,} more)"
     )
 
 
 class Constant:
-    """The columns that have had one value in every row seen, shown or not."""
+    """The columns with one value in every row seen so far, shown or not."""
 
     def __init__(self, names: Iterable[str]):
         self.names = set(names)
         self._last: pa.RecordBatch | None = None
 
     def see(self, batch: "pa.RecordBatch") -> None:
-        """Leave out the columns that differ in these rows, or from the rows before them."""
+        """Drop the columns that differ in these rows, or from earlier ones."""
         if not len(batch):
             return
-        before = batch if self._last is None else self._last
+        previous = batch if self._last is None else self._last
         self._last = batch.slice(len(batch) - 1)
         for name in sorted(self.names):
-            column, one = batch[name], before[name].slice(len(before) - 1)
-            is_one = column.slice(1).equals(column.slice(0, len(column) - 1))
-            if not (is_one and column.slice(len(column) - 1).equals(one)):
+            column, last = batch[name], previous[name].slice(len(previous) - 1)
+            is_same = column.slice(1).equals(column.slice(0, len(column) - 1))
+            if not (is_same and column.slice(len(column) - 1).equals(last)):
                 self.names.discard(name)

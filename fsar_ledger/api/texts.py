@@ -1,10 +1,9 @@
-"""Rows as text: what each value is in CSV and in JSON, of Arrow columns a column at a time.
+"""Rows as text: the values of Arrow columns in CSV and JSON, a column at a time.
 
 Text from a ledger is escaped as it becomes a field of CSV (`printable`), unless raw.
 
-A column whose text nothing would change is taken as it is; of others, each distinct value goes once through the
-function for a single value (`field_text`, `printable`). So the text of a column is to the byte that of its
-values.
+A column whose text needs no change is used as it is; of others, each distinct value is converted once by the function
+for a single value (`field_text`, `printable`). So the text of a column is byte for byte that of its values.
 """
 
 from collections import deque
@@ -30,7 +29,7 @@ _NOT_CSV_PLAIN = r"[^ -\[\]-~]"
 _QUOTED = (",", '"', "\r", "\n")
 _SIMPLE = (pa.types.is_string, pa.types.is_integer, pa.types.is_boolean, pa.types.is_floating)
 _LEAST, _MOST = 1e-4, 1e16
-"""From the one and below the other, numbers have no exponent in CSV, nor in JSON."""
+"""Numbers from the first and below the second have no exponent in CSV, nor in JSON."""
 
 AT_ONCE = 2
 """Batches that are converted at once; each takes several times its bytes."""
@@ -46,7 +45,7 @@ def in_turn(convert: Callable[[pa.RecordBatch], Converted], batches: Iterable[pa
 
     Raises: As `convert`, and as `batches`.
     """
-    with ThreadPoolExecutor(AT_ONCE) as pool:  # Arrow's kernels leave the interpreter to others
+    with ThreadPoolExecutor(AT_ONCE) as pool:  # Arrow's kernels release the interpreter lock
         waiting: deque[Future[Converted]] = deque()
         for batch in batches:
             waiting.append(pool.submit(convert, batch))
@@ -58,7 +57,7 @@ def in_turn(convert: Callable[[pa.RecordBatch], Converted], batches: Iterable[pa
 
 def csv_header(columns: Sequence[str], *, raw: bool = False) -> str:
     """Return the line of CSV that names the columns."""
-    return csv_lines(pa.RecordBatch.from_pydict({f"{at}": [name] for at, name in enumerate(columns)}), raw=raw)
+    return csv_lines(pa.RecordBatch.from_pydict({f"{index}": [name] for index, name in enumerate(columns)}), raw=raw)
 
 
 def csv_lines(batch: pa.RecordBatch, *, raw: bool = False) -> str:
@@ -106,12 +105,12 @@ def csv_texts(column: pa.Array, *, raw: bool) -> pa.Array:
 
 def harmless(column: pa.Array) -> pa.Array:
     """Return each text as `printable.field` makes it."""
-    found = _FORMULA if _holds_only(column, _CSV_PLAIN) else f"{_NOT_CSV_PLAIN}|{_FORMULA}"
-    return _replaced(column, pc.match_substring_regex(column, found), column, printable.field)
+    pattern = _FORMULA if _holds_only(column, _CSV_PLAIN) else f"{_NOT_CSV_PLAIN}|{_FORMULA}"
+    return _replaced(column, pc.match_substring_regex(column, pattern), column, printable.field)
 
 
 def json_texts(column: pa.Array, *, in_ascii: bool = True, quote: str = '"') -> pa.Array:
-    """Return each value as JSON; NULL is `null`. With another `quote`, each quotation mark of the JSON is that."""
+    """Return each value as JSON; NULL is `null`. `quote` replaces each quotation mark of the JSON."""
 
     def encode(value: object) -> str:
         text = msgspec.json.encode(encodable(msgspec.to_builtins(value))).decode()
@@ -146,7 +145,7 @@ def _csv_field(column: pa.Array, *, raw: bool) -> Texts:
 
 
 def _side_by_side(parts: Sequence[Texts], between: str, count: int) -> pa.Array:
-    """Return for each of so many rows its parts, one after the other; what all rows have in common is joined once."""
+    """Return the parts of each of `count` rows, joined by `between`; parts that all rows share are joined once."""
     joined: list[Texts] = []
     for part in parts:
         if joined and isinstance(part, str) and isinstance(joined[-1], str):
@@ -163,11 +162,11 @@ def _texts(column: pa.Array, encode: Encode, null: str) -> pa.Array:
     if pa.types.is_integer(kind) or pa.types.is_boolean(kind):
         return pc.cast(column, pa.string()).fill_null(null)
     if pa.types.is_decimal(kind) and kind.scale == 0:
-        return pa.array([null if one is None else str(int(one)) for one in _values(column)], pa.string())
+        return pa.array([null if value is None else str(int(value)) for value in _values(column)], pa.string())
     if pa.types.is_nested(kind) or pa.types.is_interval(kind) or pa.types.is_null(kind):
-        return pa.array([null if one is None else encode(one) for one in _values(column)], pa.string())
+        return pa.array([null if value is None else encode(value) for value in _values(column)], pa.string())
     coded = column.dictionary_encode()
-    texts = [null if one is None else encode(one) for one in _values(coded.dictionary)]
+    texts = [null if value is None else encode(value) for value in _values(coded.dictionary)]
     return pa.array(texts, pa.string()).take(coded.indices).fill_null(null)
 
 
@@ -192,7 +191,7 @@ def _float_fields(column: pa.Array) -> pa.Array:
 
 def _items(column: pa.Array, *, in_ascii: bool = True, quote: str = '"') -> pa.Array:
     """Return the items of each list as JSON, with commas between them."""
-    first, last = (column.offsets[at].as_py() for at in (0, -1)) if len(column) else (0, 0)
+    first, last = (column.offsets[index].as_py() for index in (0, -1)) if len(column) else (0, 0)
     # `flatten` would leave out those that a NULL spans.
     texts = json_texts(column.values.slice(first, last - first), in_ascii=in_ascii, quote=quote)
     offsets = pa.array(column.offsets.to_numpy() - first, pa.int32())
@@ -204,12 +203,12 @@ def _is_simple_list(kind: pa.DataType) -> bool:
 
 
 def _replaced(texts: pa.Array, where: pa.Array, column: pa.Array, encode: Encode) -> pa.Array:
-    """Return the texts, and at these places what `encode` makes of the value; each distinct one is encoded once."""
+    """Return the texts, and where `where` is true the encoded value; each distinct one is encoded once."""
     if not pc.any(where).as_py():
         return texts
     coded = column.filter(where).dictionary_encode()
-    made = pa.array([encode(value) for value in coded.dictionary.to_pylist()], pa.string()).take(coded.indices)
-    return pc.replace_with_mask(texts, where.fill_null(False), made)
+    encoded = pa.array([encode(value) for value in coded.dictionary.to_pylist()], pa.string()).take(coded.indices)
+    return pc.replace_with_mask(texts, where.fill_null(False), encoded)
 
 
 def _quoted_if_needed(texts: pa.Array) -> pa.Array:
@@ -222,14 +221,14 @@ def _quoted(texts: pa.Array) -> pa.Array:
 
 
 def _is_any_in(texts: pa.Array, characters: Sequence[str]) -> pa.Array:
-    """Tell of each text whether it holds any of these."""
+    """Return for each text whether it contains any of these."""
     content = bytes(_content(texts))
-    found = [pc.match_substring(texts, one) for one in characters if one.encode() in content]
-    return reduce(pc.or_, found, pa.repeat(False, len(texts)))
+    matches = [pc.match_substring(texts, character) for character in characters if character.encode() in content]
+    return reduce(pc.or_, matches, pa.repeat(False, len(texts)))
 
 
 def _holds_only(texts: pa.Array, characters: bytes) -> bool:
-    """Tell whether the texts hold none but these bytes; one look at all of them together."""
+    """Return whether the texts contain only these bytes, in one pass over all of them."""
     return not bytes(_content(texts)).translate(None, characters)
 
 
@@ -248,7 +247,7 @@ def _joined(texts: pa.Array) -> str:
 
 @contextmanager
 def as_python() -> Iterator[None]:
-    """Say what to do about a value of Arrow that Python cannot hold. Raises: QueryFailed for a date or time."""
+    """Explain how to handle an Arrow value that Python cannot hold. Raises: QueryFailed for a date or time."""
     try:
         yield
     except (OverflowError, ValueError) as error:
@@ -262,17 +261,17 @@ def json_bytes(document: object) -> bytes:
     """Return the document as JSON; bytes of file names that are not UTF-8 are escaped, `\\udcff` for ff."""
     try:
         return msgspec.json.encode(document)
-    except UnicodeEncodeError:  # rare, and to look for it in every value takes most of the time
+    except UnicodeEncodeError:  # rare, and checking every value for it takes most of the time
         return msgspec.json.encode(encodable(document))
 
 
 def encodable(value: object) -> object:
-    """Return the value with those bytes of file names escaped that are not UTF-8: `\\udcff` for ff."""
+    """Return the value with bytes of file names that are not UTF-8 escaped: `\\udcff` for ff."""
     if isinstance(value, str):
         return value if value.isascii() else value.encode("utf-8", "backslashreplace").decode()
     if isinstance(value, dict):
-        return {encodable(name): encodable(one) for name, one in value.items()}
-    return [encodable(one) for one in value] if isinstance(value, list | tuple) else value
+        return {encodable(name): encodable(item) for name, item in value.items()}
+    return [encodable(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def field_text(value: object, *, raw: bool) -> str:

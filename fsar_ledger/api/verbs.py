@@ -1,12 +1,12 @@
-"""What a verb is: one function, whose signature and docstring are those of Python and of the command line.
+"""Verbs: functions whose signature and docstring serve both Python and the command line.
 
 A parameter of a verb has its declaration in place of its default (`declare`, `switch`, `argument`), which names the
-true default; a parameter that must be given, and one that several verbs share, has an `Option` in its annotation.
-`cli/building.py` makes the options of the command of them, and the docstring gets its `Args:` from them. A parameter
+true default; a required parameter, and one that several verbs share, has an `Option` in its annotation.
+`cli/building.py` makes the options of the command from them, and the docstring gets its `Args:` from them. A parameter
 without one is for Python alone.
-Modules of verbs are imported to show a help text, so they import what takes time inside their functions.
+Modules of verbs are imported to show a help text, so they import slow modules inside their functions.
 
-The number of processes that a piece of work is worth is told here, too (`workers_of`), beside the option for it.
+`workers_of` chooses the number of processes for a piece of work; it is here, beside the option for it.
 """
 
 import inspect
@@ -27,20 +27,20 @@ RUNTIME = Path(__file__).resolve().parents[1] / "runtime"
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 JSON = ("verified", "json")
-"""What every verb takes whose answer holds for a ledger: compare its rows first, and answer as JSON."""
+"""The options of a verb whose answer holds for a ledger: compare its rows first, and answer as JSON."""
 WIDE = (*JSON, "wide")
-"""What also those take whose text has a table."""
+"""The options of a verb whose text has a table."""
 ROWS = (*JSON, "csv", "ndjson", "raw", "wide")
-"""What those take whose answer is rows."""
+"""The options of a verb whose answer is rows."""
 STREAM = (*JSON, "csv", "ndjson", "raw", "limit", "wide")
-"""What those take whose answer can be long."""
+"""The options of a verb whose answer can be long."""
 
 NOTHING_CHANGED = "nothing was changed"
-"""What most interrupted calls leave."""
+"""The effect of most interrupted calls."""
 
 
 def either(names: Iterable[str]) -> str:
-    """Return the names, sorted, as a choice."""
+    """Return the sorted names as `a, b or c`."""
     *others, last = sorted(names)
     return f"{', '.join(others)} or {last}"
 
@@ -48,8 +48,8 @@ def either(names: Iterable[str]) -> str:
 class Option(NamedTuple):
     """An option of the command line, or an argument if it has no flag; a switch has no metavar.
 
-    `default` says what holds without it, where the value of the parameter does not. `complete` names the
-    values that a shell is offered (`cli/building.py`).
+    `default` describes the default if the value of the parameter does not. `complete` names the values that a shell
+    is offered (`cli/building.py`).
     """
 
     flag: str | None
@@ -61,11 +61,11 @@ class Option(NamedTuple):
     most: int | None = None
     environment: str | None = None
     value: Any = None
-    """The value of the parameter without it, where it stands in place of that."""
+    """The true default of the parameter, if the option is declared in its place."""
 
 
 class Shows(NamedTuple):
-    """The command line shows the progress of the call, in these words; it is no option.
+    """A parameter for progress, which the command line shows in these words; not an option.
 
     `instead` has other verbs for calls with a switch.
     """
@@ -76,19 +76,19 @@ class Shows(NamedTuple):
 
 
 class Gives(NamedTuple):
-    """The command line gives one of these; it is no option.
+    """A parameter that the command line supplies; not an option.
 
     `now`: the present time, in seconds since 1970, and `clock`: a function that returns it. `ticks`: a function that
-    returns seconds that never go back. `pause`: a function that waits so many seconds, and ends when nobody reads any
-    more. `say`: a function that tells the operator a line. `show`: one that shows a part of the answer. `showing`: as
-    `base.progress.Showing`. `walk`: lets a user walk through a run by keys; None where there are none.
+    returns seconds that never go back. `pause`: a function that waits this many seconds, or ends when the output is
+    closed. `say`: a function that prints a line for the operator. `show`: one that prints a part of the answer.
+    `showing`: as `base.progress.Showing`. `walk`: lets a user step through a run by keys; None without a keyboard.
     """
 
     what: Literal["now", "clock", "ticks", "pause", "say", "show", "showing", "walk"]
 
 
 class Verb(NamedTuple):
-    """A verb: its name on the command line, its function, and the rest of what `verb` declares."""
+    """A verb: its name on the command line, its function, and the other arguments of `verb`."""
 
     name: str
     function: Callable[..., Any]
@@ -104,13 +104,13 @@ class Verb(NamedTuple):
     @property
     def parameters(self) -> dict[str, inspect.Parameter]:
         """Return the parameters of the function, then those that `call` adds; a default of `call` counts."""
-        found = dict(inspect.signature(self.function).parameters)
-        for name, one in inspect.signature(self.call).parameters.items():
-            if name not in found and declared(one) is not None:
-                found[name] = one
-            elif name in found and one.default is not inspect.Parameter.empty:
-                found[name] = found[name].replace(default=one.default)
-        return found
+        parameters = dict(inspect.signature(self.function).parameters)
+        for name, parameter in inspect.signature(self.call).parameters.items():
+            if name not in parameters and declared(parameter) is not None:
+                parameters[name] = parameter
+            elif name in parameters and parameter.default is not inspect.Parameter.empty:
+                parameters[name] = parameters[name].replace(default=parameter.default)
+        return parameters
 
     @property
     def help(self) -> str:
@@ -128,15 +128,15 @@ def help_in(docstring: str) -> str:
 
 
 def declare(metavar: str | None, help: str, default: str | None = None, *, flag: str = "", **more: Any) -> Any:
-    """Declare an option, in place of the default of its parameter, which is `value`; `flag`: if not the name of it.
+    """Declare an option in place of its parameter's default, which is `value`; `flag` defaults to the name.
 
-    `default` is what the help says in place of that value, as "all" for None.
+    `default` is what the help shows in place of that value, such as "all" for None.
     """
     return Option(flag, metavar, help, default, **more)
 
 
 def switch(help: str, *, flag: str = "") -> Any:
-    """Declare a switch, in place of the default of its parameter, which is False."""
+    """Declare a switch in place of its parameter's default, which is False."""
     return Option(flag, None, help, value=False)
 
 
@@ -156,28 +156,28 @@ def verb(
     arrange: Callable[[dict[str, Any]], None] = lambda _: None,
     memory_factor: int = 1,
 ) -> Callable[[_Function], _Function]:
-    """Register a function as a verb of the command line, with calls that show how it is used.
+    """Register a function as a verb of the command line, with example calls.
 
     Args:
         examples: Calls without the name of the program, which a test runs, and other lines of a shell.
-        takes: What the command takes beside the parameters of the function.
+        takes: The options of the command beside the parameters of the function.
         name: The name on the command line; None: that of the function.
         call: Answers the command instead, with the same parameters and those that it declares.
-        beside: Switches that the text of the answer looks at (`Screen.has`).
-        after_interruption: What an interrupted call leaves.
-        is_apart: Whether a call with these values works in a process that has a memory limit of its own.
+        beside: Switches that affect only the text of the answer (`Screen.has`).
+        after_interruption: The effect of an interrupted call.
+        is_apart: Whether a call with these values runs in a process with its own memory limit.
         arrange: Changes the values of a call before its ledgers are opened.
-        memory_factor: How many times the memory of other commands this one may take for each byte of the segments.
+        memory_factor: The memory allowed for each byte of the segments, as a multiple of that of other commands.
     """
 
     def register(function: _Function) -> _Function:
         _settle(function)
         if call is not None:
             _settle(call)
-        called = name or function.__name__.replace("_", "-")
-        calls = tuple(f"fsar-ledger {one}" if one.startswith(called) else one for one in examples)
-        VERBS[called] = Verb(
-            called,
+        command = name or function.__name__.replace("_", "-")
+        calls = tuple(f"fsar-ledger {example}" if example.startswith(command) else example for example in examples)
+        VERBS[command] = Verb(
+            command,
             function,
             call or function,
             takes,
@@ -195,36 +195,46 @@ def verb(
 
 
 def _settle(function: Callable[..., Any]) -> None:
-    """Give each parameter whose default is a declaration its true default, and the declaration as an annotation."""
+    """Replace each default that is a declaration by the true one, and move the declaration to the annotation."""
     settled = []
-    for name, one in inspect.signature(function).parameters.items():
-        if isinstance(found := one.default, Option):
-            found = found._replace(flag=f"--{name.replace('_', '-')}") if found.flag == "" else found
-            one = one.replace(annotation=Annotated[one.annotation, found], default=found.value)
-        settled.append(one)
-    plain = [one for one in settled if one.kind is not one.KEYWORD_ONLY]
-    function.__defaults__ = tuple(one.default for one in plain if one.default is not one.empty)
+    for name, parameter in inspect.signature(function).parameters.items():
+        if isinstance(declaration := parameter.default, Option):
+            declaration = (
+                declaration._replace(flag=f"--{name.replace('_', '-')}") if declaration.flag == "" else declaration
+            )
+            parameter = parameter.replace(
+                annotation=Annotated[parameter.annotation, declaration], default=declaration.value
+            )
+        settled.append(parameter)
+    positional = [parameter for parameter in settled if parameter.kind is not parameter.KEYWORD_ONLY]
+    function.__defaults__ = tuple(
+        parameter.default for parameter in positional if parameter.default is not parameter.empty
+    )
     function.__kwdefaults__ = {
-        one.name: one.default for one in settled if one.kind is one.KEYWORD_ONLY and one.default is not one.empty
+        parameter.name: parameter.default
+        for parameter in settled
+        if parameter.kind is parameter.KEYWORD_ONLY and parameter.default is not parameter.empty
     }
-    function.__annotations__.update({one.name: one.annotation for one in settled if one.annotation is not one.empty})
+    function.__annotations__.update(
+        {parameter.name: parameter.annotation for parameter in settled if parameter.annotation is not parameter.empty}
+    )
 
 
 def declared(parameter: inspect.Parameter) -> Option | Shows | Gives | None:
     """Return what the annotation of a parameter declares."""
-    found = getattr(parameter.annotation, "__metadata__", ())
-    return next((one for one in found if isinstance(one, Option | Shows | Gives)), None)
+    metadata = getattr(parameter.annotation, "__metadata__", ())
+    return next((item for item in metadata if isinstance(item, Option | Shows | Gives)), None)
 
 
 def _documented(function: Callable[..., Any]) -> str:
     """Return the docstring with a line for each declared parameter."""
     text = inspect.getdoc(function) or ""
-    options = ((one.name, declared(one)) for one in inspect.signature(function).parameters.values())
-    lines = [f"    {name}: {one.help}" for name, one in options if isinstance(one, Option)]
+    options = ((parameter.name, declared(parameter)) for parameter in inspect.signature(function).parameters.values())
+    lines = [f"    {name}: {declaration.help}" for name, declaration in options if isinstance(declaration, Option)]
     if not lines or "\n\nArgs:" in text:
         return text
-    before, raises, after = text.partition("\n\nRaises:")
-    return "\n".join([f"{before}\n\nArgs:", *lines]) + raises + after
+    body, raises, rest = text.partition("\n\nRaises:")
+    return "\n".join([f"{body}\n\nArgs:", *lines]) + raises + rest
 
 
 AnswersOption = Annotated[
@@ -249,7 +259,7 @@ InvariantOption = Annotated[
     ),
 ]
 ONE_ARCHITECTURE = either(file.parent.name for file in RUNTIME.glob("architectures/*/__init__.py"))
-"""Which there are, by their folders; to import them would slow `--help` down."""
+"""The architectures, by their folders; importing them would slow `--help` down."""
 ArchitectureOption = Annotated[
     Names,
     Option(
@@ -310,22 +320,22 @@ WORTH_ROBOTS = 320
 """Robots, summed over all runs, whose simulation takes about as long as a process takes to start (0.4 s)."""
 
 LOG_BYTES = 1 << 24
-"""More than the segments of the log of a federation have, whose events are few: only smaller ledgers may be one."""
+"""Only ledgers with fewer bytes of segments may be federations, whose logs have few events."""
 
 WORTH_BYTES = 400 << 10
 """Bytes of segments whose verification takes about as long as a process takes to start (0.4 s)."""
 
 
 def workers_of(asked: int | None, worth: int | None = None) -> int:
-    """Return the number of processes: as asked, else of the cluster, else one per core, no more than the work is worth.
+    """Return the number of processes: as given, else the cluster's, else one per core, at most what the work is worth.
 
     Raises:
-        UsageError: Fewer than one was asked for, or no whole number.
+        UsageError: The number is below 1, or not whole.
     """
     from fsar_ledger.base.workers import workers_of_cluster
 
-    if asked is None and (found := workers_of_cluster()) is not None:
-        return found
+    if asked is None and (count := workers_of_cluster()) is not None:
+        return count
     if asked is None:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         return cores if worth is None else max(1, min(cores, worth))
@@ -336,7 +346,7 @@ def workers_of(asked: int | None, worth: int | None = None) -> int:
 
 
 def readers_of(asked: int | None, *ledgers: Path | None) -> int:
-    """Return the number of processes that read these ledgers: as asked, else one per core, if there is enough to do.
+    """Return the number of processes that read these ledgers: as given, else one per core, if there is enough to do.
 
     Raises: As `workers_of`.
     """
@@ -347,10 +357,10 @@ def stored(*ledgers: Path | None) -> int:
     """Return the bytes of the segments of these ledgers, including staged ones, and of the shards of federations."""
     from fsar_ledger.ledger.store.paths import segment_bytes
 
-    found = {ledger: segment_bytes(ledger) for ledger in ledgers if ledger is not None}
-    small = [ledger for ledger, size in found.items() if size <= LOG_BYTES]
+    sizes = {ledger: segment_bytes(ledger) for ledger in ledgers if ledger is not None}
+    small = [ledger for ledger, size in sizes.items() if size <= LOG_BYTES]
     if small:
         from fsar_ledger.ledger.opening import folders_of
 
-        found |= {folder: segment_bytes(folder) for ledger in small for folder in folders_of(ledger)}
-    return sum(found.values())
+        sizes |= {folder: segment_bytes(folder) for ledger in small for folder in folders_of(ledger)}
+    return sum(sizes.values())

@@ -30,7 +30,7 @@ class Verification(Answer, msgspec.Struct, frozen=True):
     """The findings of `verify`.
 
     `report` comes from deriving everything again, `replay` from playing the runs again, `witnessed` from witnesses,
-    `fleet` from the ledger of a lone robot's fleet. None means not asked for. `path` is the ledger; `is_recorded`: the
+    `fleet` from the ledger of a lone robot's fleet. None means not requested. `path` is the ledger; `is_recorded`: the
     runs were played in the world on record.
     """
 
@@ -43,7 +43,7 @@ class Verification(Answer, msgspec.Struct, frozen=True):
 
     @property
     def ok(self) -> bool:
-        """Return whether none of them found anything, and enough witnesses saw the ledger."""
+        """Return whether no check found a problem, and enough witnesses saw the ledger."""
         return (
             self.report.ok
             and (self.replay is None or self.replay.ok)
@@ -80,10 +80,10 @@ class Verification(Answer, msgspec.Struct, frozen=True):
         if self.fleet is not None:
             more["fleet"] = self.fleet
         head = {"size": self.report.events, "root": self.report.root}
-        found = msgspec.to_builtins(self.report)
+        report = msgspec.to_builtins(self.report)
         if not self.report.shards:
-            del found["shards"]
-        return {"head": head, **found, "ok": self.ok, **more}
+            del report["shards"]
+        return {"head": head, **report, "ok": self.ok, **more}
 
     def text(self, _: Screen) -> Iterator[printable.SafeText]:
         """Yield what was found consistent."""
@@ -92,29 +92,29 @@ class Verification(Answer, msgspec.Struct, frozen=True):
 
     def _lines(self) -> list[str]:
         report = _of_report(self.path, self.report)
-        asked = [self._replay_lines(self.replay), self._fleet_lines(self.fleet)]
-        doubts = [line for one in (self.replay, self.fleet) if one is not None for line in map(str, one.differences)]
-        return [*(doubts or report), *(line for lines in asked for line in lines)]
+        sections = [self._replay_lines(self.replay), self._fleet_lines(self.fleet)]
+        doubts = [line for part in (self.replay, self.fleet) if part is not None for line in map(str, part.differences)]
+        return [*(doubts or report), *(line for lines in sections for line in lines)]
 
-    def _replay_lines(self, again: "ReplayReport | None") -> list[str]:
-        """Return what the replay says beside its differences."""
+    def _replay_lines(self, replay: "ReplayReport | None") -> list[str]:
+        """Return the lines on the replay, apart from its differences."""
         ledger, report = self.path, self.report
-        if again is None:
+        if replay is None:
             return []
         if not report.ok:
             return [f"{ledger}: not replayed, as its rows are in doubt"]
         recorded = (
-            [f"not replayed: {counted(again.recordings, 'recording')} of what other systems did and decided"]
-            if again.recordings
+            [f"not replayed: {counted(replay.recordings, 'recording')} of what other systems did and decided"]
+            if replay.recordings
             else []
         )
-        if again.ok and not again.runs:
+        if replay.ok and not replay.runs:
             return [
                 *recorded,
                 f"replayed: nothing; the ledger holds no {'other ' if recorded else ''}run",
-                *again.remarks,
+                *replay.remarks,
             ]
-        if again.ok:
+        if replay.ok:
             makers = (
                 "the handlers make them in the world on record; whether it was the world of the seed, this does not "
                 "tell"
@@ -122,18 +122,18 @@ class Verification(Answer, msgspec.Struct, frozen=True):
                 else "the world and the handlers make them"
             )
             return [
-                f"replayed: all {again.events:,} events of {counted(again.runs, 'run')} are as {makers}",
+                f"replayed: all {replay.events:,} events of {counted(replay.runs, 'run')} are as {makers}",
                 *recorded,
-                *again.remarks,
+                *replay.remarks,
             ]
-        doubted = report.runs - again.recordings - again.runs
+        doubted = report.runs - replay.recordings - replay.runs
         count = f"{doubted:,} of {report.runs:,} runs" if doubted else "what was planned"
         return [
             f"{ledger}: consistent, but replay doubts {count}; do not rely on what they say happened and was decided"
         ]
 
     def _fleet_lines(self, fleet: "FleetComparison | None") -> list[str]:
-        """Return what the comparison with the fleet's ledger says beside its differences."""
+        """Return the lines on the comparison with the fleet's ledger, apart from its differences."""
         if fleet is None:
             return []
         if not self.report.ok:
@@ -204,20 +204,20 @@ def verify(
             f"{option('quick')} and {option('replay')}: expected one of them; a quick look reads no rows, a replay "
             "all of them"
         )
-    place, trusted = ledger.path, trusted_of(trusted_key)
-    kept = anchor_of(anchor, trusted)
+    path, trusted = ledger.path, trusted_of(trusted_key)
+    anchored = anchor_of(anchor, trusted)
     policy = None if witness_policy is None else Path(witness_policy)
     # Before the check, during which the ledger may grow.
-    seen = answers_of(place, policy, list(map(Path, cosigned or ())), trusted, now_s)
-    if trusted is None and seen is not None:
-        trusted = seen.log
-    asked = VerifyOptions(quick, trusted, kept, seen.evidence.checkpoints if seen is not None else ())
-    report = full_verify(place, readers_of(workers, place), progress, asked)
-    if report.anchored is not None and is_own_checkpoint(kept, place):
+    witnessed = answers_of(path, policy, list(map(Path, cosigned or ())), trusted, now_s)
+    if trusted is None and witnessed is not None:
+        trusted = witnessed.log
+    options = VerifyOptions(quick, trusted, anchored, witnessed.evidence.checkpoints if witnessed is not None else ())
+    report = full_verify(path, readers_of(workers, path), progress, options)
+    if report.anchored is not None and is_own_checkpoint(anchored, path):
         report = msgspec.structs.replace(report, remarks=(OWN_CHECKPOINT, *report.remarks))
-    again = replayed(place, report, workers, progress, recorded) if replay else None
-    compared = None if of is None else _compared(place, Path(of), report, workers)
-    return Verification(report, again, seen, place, recorded, compared)
+    replay_report = replayed(path, report, workers, progress, recorded) if replay else None
+    fleet_comparison = None if of is None else _compared(path, Path(of), report, workers)
+    return Verification(report, replay_report, witnessed, path, recorded, fleet_comparison)
 
 
 def _compared(ledger: Path, fleet: Path, report: "VerifyReport", workers: int | None) -> "FleetComparison":
@@ -227,9 +227,9 @@ def _compared(ledger: Path, fleet: Path, report: "VerifyReport", workers: int | 
 
     if not report.ok:
         return FleetComparison(0, 0, ())
-    theirs = full_verify(fleet, readers_of(workers, fleet), None)
-    if not theirs.ok:
-        raise LedgerCorrupted(*_of_report(fleet, theirs))
+    fleet_report = full_verify(fleet, readers_of(workers, fleet), None)
+    if not fleet_report.ok:
+        raise LedgerCorrupted(*_of_report(fleet, fleet_report))
     return compared_with_fleet(ledger, fleet)
 
 
@@ -248,18 +248,18 @@ def replayed(
         return NOT_REPLAYED
     if not report.shards:
         return replay(ledger, readers_of(workers, ledger), progress, report.commits, is_recorded)
-    found = [
+    reports = [
         replay(shard.path, readers_of(workers, shard.path), progress, len(shard.commits), is_recorded)
         for shard in views_of(open_for_answers(ledger))
     ]
     return ReplayReport(
-        all(one.ok for one in found),
-        tuple(difference for one in found for difference in one.differences),
-        sum(one.commits for one in found),
-        sum(one.runs for one in found),
-        sum(one.events for one in found),
-        tuple(dict.fromkeys(remark for one in found for remark in one.remarks)),
-        sum(one.recordings for one in found),
+        all(part.ok for part in reports),
+        tuple(difference for part in reports for difference in part.differences),
+        sum(part.commits for part in reports),
+        sum(part.runs for part in reports),
+        sum(part.events for part in reports),
+        tuple(dict.fromkeys(remark for part in reports for remark in part.remarks)),
+        sum(part.recordings for part in reports),
     )
 
 
@@ -278,13 +278,13 @@ def _of_report(ledger: Path, report: "VerifyReport") -> list[str]:
         counts = f"{counted(report.events, 'head')} of {counted(report.shards, 'shard')}" + (
             "" if report.is_quick else f", which have {counted(report.runs, 'run')}"
         )
-    looked = "consistent at a quick look, which reads no rows" if report.is_quick else "consistent"
-    lines = [f"{ledger}: {looked}, {signature_text(report.signature, report.signer)}: {counts}", f"root {report.root}"]
+    verdict = "consistent at a quick look, which reads no rows" if report.is_quick else "consistent"
+    lines = [f"{ledger}: {verdict}, {signature_text(report.signature, report.signer)}: {counts}", f"root {report.root}"]
     lines += [f"signed commits: {report.signed:,} of {report.commits:,}"] if report.signed else []
     lines += (
         [f"only grew since the anchor's {report.anchored:,} events"]
         if report.anchored is not None and not report.is_quick
         else []
-    )  # there a remark says it
+    )  # a quick check says it in a remark
     lines += [f"not looked at: {', '.join(report.not_looked_at)}"] if report.not_looked_at else []
     return [*lines, *report.remarks]

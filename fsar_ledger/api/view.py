@@ -22,9 +22,9 @@ PAGE, TRACE = ".html", ".json"
 
 
 class Picture(msgspec.Struct, frozen=True):
-    """The file, its bytes, the runs that it shows, and the provenance.
+    """A written page or trace: the file, its bytes, the runs that it shows, and the provenance.
 
-    `first_difference` is the first seq at which two runs differ: None where they do not, or where there is only one.
+    `first_difference` is the first seq at which two runs differ: None if they do not, or if there is only one.
     `other` is the provenance of a run from another ledger.
     """
 
@@ -37,11 +37,11 @@ class Picture(msgspec.Struct, frozen=True):
 
     def __str__(self) -> str:
         """Return which runs the file shows, and where they diverge."""
-        shown = f"{self.file}: {self.size:,} bytes, run"
+        text = f"{self.file}: {self.size:,} bytes, run"
         if len(self.runs) == 1:
-            return f"{shown} {printable.value(self.runs[0])}"
+            return f"{text} {printable.value(self.runs[0])}"
         names, first = " and ".join(map(printable.value, self.runs)), self.first_difference
-        return f"{shown}s {names}: " + ("no difference" if first is None else f"the first difference is event {first}")
+        return f"{text}s {names}: " + ("no difference" if first is None else f"the first difference is event {first}")
 
 
 def _asked(
@@ -57,18 +57,18 @@ def _asked(
     if out is None and perfetto is None:
         raise UsageError("found neither --out nor --perfetto, expected a file to write; give --out FILE.html")
     if perfetto is not None and (second is not None or other is not None):
-        found = f"--with {second}" if second is not None else f"--other {other and other.path}"
+        given = f"--with {second}" if second is not None else f"--other {other and other.path}"
         raise UsageError(
-            f"--perfetto {perfetto} and {found}: a trace shows one run, expected one of them; --out FILE.html shows two"
+            f"--perfetto {perfetto} and {given}: a trace shows one run, expected one of them; --out FILE.html shows two"
         )
-    for place, suffix, name in ((out, PAGE, "out"), (perfetto, TRACE, "perfetto")):
-        if place is not None:
-            require_picture(Path(place), suffix, name)
+    for file, suffix, name in ((out, PAGE, "out"), (perfetto, TRACE, "perfetto")):
+        if file is not None:
+            require_picture(Path(file), suffix, name)
     written = [] if out is None else [view(ledger, out, run, second, other)]
     written += [] if perfetto is None else [trace(ledger, perfetto, run)]
-    first, other_one = written[0].provenance, written[0].other
+    first, other_provenance = written[0].provenance, written[0].other
     answer = Lines(*map(str, written))
-    answer.provenances = (first,) if other_one is None else (first, other_one)
+    answer.provenances = (first,) if other_provenance is None else (first, other_provenance)
     return answer
 
 
@@ -105,22 +105,22 @@ def view(
 
     file = Path(out)
     require_picture(file, PAGE, "out")
-    shown = [_shown(ledger, run)]
+    pages = [_shown(ledger, run)]
     first = None
     if second is not None or other is not None:
-        one = shown[0][0].drawn.run
-        shown.append(_shown(other or ledger, one.run_id if second is None else second))
-        two = shown[1][0].drawn.run
-        if two.run_id == one.run_id and (other is None or other.path.resolve() == ledger.path.resolve()):
+        upper = pages[0][0].drawn.run
+        pages.append(_shown(other or ledger, upper.run_id if second is None else second))
+        lower = pages[1][0].drawn.run
+        if lower.run_id == upper.run_id and (other is None or other.path.resolve() == ledger.path.resolve()):
             raise UsageError(
-                f"{option('second', second)}: found run {printable.value(one.run_id)} twice, expected two runs; name "
+                f"{option('second', second)}: found run {printable.value(upper.run_id)} twice, expected two runs; name "
                 "another one"
             )
-        first = parts_at(one, two)
-    content = page(*(picture for picture, _ in shown))
+        first = parts_at(upper, lower)
+    content = page(*(picture for picture, _ in pages))
     _write(file, content)
-    runs = tuple(picture.drawn.run.run_id for picture, _ in shown)
-    provenances = [provenance for _, provenance in shown]
+    runs = tuple(picture.drawn.run.run_id for picture, _ in pages)
+    provenances = [provenance for _, provenance in pages]
     if other is None:
         return Picture(file, len(content), runs, first, _together(provenances))
     return Picture(file, len(content), runs, first, *provenances)
@@ -139,10 +139,10 @@ def trace(ledger: "Ledger", out: Place, run: Run | None = None) -> Picture:
 
     file = Path(out)
     require_picture(file, TRACE, "out")
-    shown, provenance = _shown(ledger, run)
-    content = trace_of(shown.drawn)
+    options, provenance = _shown(ledger, run)
+    content = trace_of(options.drawn)
     _write(file, content)
-    return Picture(file, len(content), (shown.drawn.run.run_id,), None, provenance)
+    return Picture(file, len(content), (options.drawn.run.run_id,), None, provenance)
 
 
 def require_picture(out: Path, suffix: str, name: str) -> None:
@@ -169,8 +169,8 @@ def _write(out: Path, content: bytes) -> None:
         temporary.write_bytes(content)
 
 
-def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[PageOptions, Provenance]":
-    """Return a run with all that is drawn of it, and the provenance of that."""
+def _shown(ledger: "Ledger", requested: Run | None) -> "tuple[PageOptions, Provenance]":
+    """Return what a page draws of a run, and its provenance."""
     from fsar_ledger.analysis.situation import Coverage
     from fsar_ledger.ledger.rows.runs import start_of
     from fsar_ledger.ledger.store.locations import record_of
@@ -179,15 +179,15 @@ def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[PageOptions, Provenanc
     from .events import asked_of, timeline
     from .lookup import about_run, present
 
-    held, _ = present(ledger)
-    with about_run(held, asked, ledger.demanded, is_whole=True) as (database, name, number):
-        told = timeline(database, asked_of(database, ledger.path, name, None, None, None, None))
-    run = record_of(held, name)
+    ledger_view, _ = present(ledger)
+    with about_run(ledger_view, requested, ledger.demanded, is_whole=True) as (database, name, number):
+        lines = timeline(database, asked_of(database, ledger.path, name, None, None, None, None))
+    run = record_of(ledger_view, name)
     started = start_of(run)
-    provenance = told.provenance
+    provenance = lines.provenance
     head = provenance.head
     picture = PageOptions(
-        drawn(run, name if number is None else f"{number}", words_of(told.rows())),
+        drawn(run, name if number is None else f"{number}", words_of(lines.rows())),
         printable.word(ledger.path),
         head.events if head else 0,
         head.root if head else "",
@@ -197,10 +197,10 @@ def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[PageOptions, Provenanc
     return picture, provenance
 
 
-def _together(found: "list[Provenance]") -> "Provenance":
-    """Return what holds for runs of one ledger: its head, and each gap once."""
+def _together(provenances: "list[Provenance]") -> "Provenance":
+    """Return the joint provenance of runs of one ledger: its head, and each gap once."""
     from fsar_ledger.metrics.provenance import Provenance
 
-    gaps = {one.concern: one for each in found for one in each.not_observed}
-    verified = all(each.rows_verified for each in found)
-    return Provenance(found[0].head, verified, None, tuple(gaps.values()))
+    gaps = {gap.concern: gap for provenance in provenances for gap in provenance.not_observed}
+    verified = all(provenance.rows_verified for provenance in provenances)
+    return Provenance(provenances[0].head, verified, None, tuple(gaps.values()))

@@ -41,9 +41,9 @@ class Fork(msgspec.Struct, frozen=True):
     """A fork of a recorded run.
 
     `record` is what happens in it, as `Ledger.record` returns it; `base` the run as recorded. `parts_at` is the first
-    seq at which they differ; None: they do the same. Event 0 of the fork, which says from where it forks and what is
-    changed, does not count. `ends`: the question that nobody on the record of a live run answers, so that the fork ends
-    there; None: it does not end early.
+    seq at which they differ; None: they do not. Event 0 of the fork, which records its base and changes, does not
+    count. `ends`: the question that the record of a live run does not answer, so that the fork ends there; None: it
+    does not end early.
     """
 
     base: "LedgerRun"
@@ -65,7 +65,7 @@ class WhatIf(Answer, msgspec.Struct, frozen=True):
     """Forks with the same changes, and the effects on every metric.
 
     `story` says where base and fork of a single run diverge, and why; None: there are several. `kept` is the head of
-    the ledger in which they were stored, each beside its base; None: nowhere.
+    the ledger in which they were stored, each beside its base; None: they were not stored.
     """
 
     changes: tuple[str, ...]
@@ -78,11 +78,11 @@ class WhatIf(Answer, msgspec.Struct, frozen=True):
 
     @property
     def diverging(self) -> int:
-        """Return how many forks do not do the same as their base."""
-        return sum(one.parts_at is not None for one in self.forks)
+        """Return how many forks differ from their base."""
+        return sum(divergence.parts_at is not None for divergence in self.forks)
 
     def document(self, screen: Screen) -> Mapping[str, object]:
-        """Return the forks, what they came to, and where they are kept."""
+        """Return the forks, their effects, and where they are stored."""
         return {
             "changes": self.changes,
             "story": None if self.story is None else self.story.document(screen),
@@ -93,18 +93,18 @@ class WhatIf(Answer, msgspec.Struct, frozen=True):
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield what the changes do, in one run or in pairs."""
-        yield printable.lines(*(f"change: {one}" for one in self.changes))
+        yield printable.lines(*(f"change: {change}" for change in self.changes))
         if self.story is not None:
             yield printable.lines(screen.run_text(self.story.first), "", *_end(self.forks[0]))
             yield from diff_text(self.story, ("base", "fork"), screen)
             yield printable.lines("")
         else:
-            for one in self.effects:
-                yield from _effects(one, screen, is_alone=len(self.effects) == len({*map(_who, self.effects)}))
+            for effects in self.effects:
+                yield from _effects(effects, screen, is_alone=len(self.effects) == len({*map(_who, self.effects)}))
         if self.kept is not None and self.out is not None:
             count = counted(len(self.forks), "fork")
-            place = printable.word(self.out)
-            yield printable.lines(f"kept in {place}: {count}, each beside its base, root {self.kept.root}")
+            ledger = printable.word(self.out)
+            yield printable.lines(f"kept in {ledger}: {count}, each beside its base, root {self.kept.root}")
 
 
 def _asked(
@@ -124,8 +124,8 @@ def _asked(
             raise UsageError("--list: found no run, expected --run RUN")
         return changeable(ledger, run)
     if (run is None) == (not all_runs):
-        found = "--run and --all-runs" if all_runs else "neither --run nor --all-runs"
-        raise UsageError(f"found {found}, expected one of them")
+        combination = "--run and --all-runs" if all_runs else "neither --run nor --all-runs"
+        raise UsageError(f"found {combination}, expected one of them")
     if file is not None and Path(file).suffix != ".toml":
         raise UsageError(f"--changes {file}: expected a .toml file")
     texts = [*(names_of(changes) or ()), *([] if file is None else [str(file)])]
@@ -181,36 +181,40 @@ def whatif(
         raise UsageError(f"{option('run', run)} and {name}: found one run, expected {name} with all runs")
     view, provenance = present(ledger)
     record = None if run is None else recorded(ledger, view, run)
-    place = None if out is None else Path(out)
-    meant = forks.changes_of([*([changes] if isinstance(changes, str) else changes), *forks.answers_of(answers)])
+    path = None if out is None else Path(out)
+    parsed = forks.changes_of([*([changes] if isinstance(changes, str) else changes), *forks.answers_of(answers)])
     if answers is not None and (record is None or getattr(record.events[0], "kind", None) != "live"):
         what = "no run" if record is None else "a simulated run, whose world answers everything"
         raise UsageError(f"{option('answers', answers)}: found {what}, expected --run RUN of a live run")
-    if place is not None:
-        if place.resolve() == view.path.resolve():
-            raise UsageError(f"{option('out', place)}: found the ledger of the bases, expected another place")
-        require_outside(place.parent, option("out", place))
-    if not meant:
+    if path is not None:
+        if path.resolve() == view.path.resolve():
+            raise UsageError(f"{option('out', path)}: found the ledger of the bases, expected another place")
+        require_outside(path.parent, option("out", path))
+    if not parsed:
         raise UsageError("changes: found no change, expected one at least")
-    texts = tuple(map(str, meant))
+    texts = tuple(map(str, parsed))
     if record is not None:
-        return _of_one(forks.fork_of(view, record, meant), texts, provenance, place)
+        return _of_one(forks.fork_of(view, record, parsed), texts, provenance, path)
     runs = forks.runs_of(view, names_of(architecture) or ())
-    played = None if progress is None else lambda done: progress(done, len(runs))
+    report = None if progress is None else lambda done: progress(done, len(runs))
     with ledger.database() as database:
-        names = {one.side: one.name for one in sides(database)}
+        names = {side.side: side.name for side in sides(database)}
         provenance = of_judgement(database)
-    found, judged = forks.effects_over(view, runs, meant, names, played)
-    if len(refused := [(one.base, one.refused) for one in found if one.refused is not None]) == len(found):
+    divergences, effects = forks.effects_over(view, runs, parsed, names, report)
+    if len(
+        refused := [
+            (divergence.base, divergence.refused) for divergence in divergences if divergence.refused is not None
+        ]
+    ) == len(divergences):
         raise forks.refused_in_all(refused)
-    if not any(one.parts_at for one in found):
-        raise without_effect(view, runs, meant)
-    kept = None if place is None else forks.commit_pairs(place, forks.fork_pairs(view, runs, meant))
-    return WhatIf(texts, tuple(found), judged, None, provenance, kept, place)
+    if not any(divergence.parts_at for divergence in divergences):
+        raise without_effect(view, runs, parsed)
+    head = None if path is None else forks.commit_pairs(path, forks.fork_pairs(view, runs, parsed))
+    return WhatIf(texts, tuple(divergences), effects, None, provenance, head, path)
 
 
 def without_effect(view: "View", runs: Sequence[str], changes: "Changes") -> UsageError:
-    """Return the error of changes with which none of these runs does anything else; it says why the first does not."""
+    """Return the error for changes without effect on any of these runs; it says why the first is not affected."""
     from fsar_ledger.analysis import whatif as forks
     from fsar_ledger.ledger.store.locations import record_of
 
@@ -222,22 +226,22 @@ def without_effect(view: "View", runs: Sequence[str], changes: "Changes") -> Usa
     return UsageError(f"none of {len(runs):,} runs does anything else with these changes; expected some effect")
 
 
-def _of_one(pair: "Pair", texts: tuple[str, ...], provenance: "Provenance", place: Path | None) -> WhatIf:
+def _of_one(pair: "Pair", texts: tuple[str, ...], provenance: "Provenance", path: Path | None) -> WhatIf:
     """Return what the changes do in one run. Raises: UsageError if its fork cannot be stored."""
     from fsar_ledger.analysis import whatif as forks
 
     from .diff import difference_of
 
-    if place is not None and pair.base.recipe.live is not None:
+    if path is not None and pair.base.recipe.live is not None:
         raise UsageError(
-            f"{option('out', place)}: found the fork of a live run, which rests on commands that are not its own; "
+            f"{option('out', path)}: found the fork of a live run, which rests on commands that are not its own; "
             "expected a simulated run"
         )
     (base, fork), end = pair.records, pair.fork.end
-    found, judged = forks.effects([pair])
+    divergences, effects = forks.effects([pair])
     story = difference_of(base, fork, (provenance,), None if end is None else end.time_us)
-    kept = None if place is None else forks.commit_pairs(place, [pair])
-    return WhatIf(texts, tuple(found), judged, story, provenance, kept, place)
+    head = None if path is None else forks.commit_pairs(path, [pair])
+    return WhatIf(texts, tuple(divergences), effects, story, provenance, head, path)
 
 
 def fork(ledger: "Ledger", run: Run, changes: Texts) -> Fork:
@@ -278,50 +282,53 @@ def changeable(ledger: "Ledger", run: Run) -> "Table":
     from .table import Table, of_structs
 
     view, provenance = present(ledger)
-    found = rerun(base_of_record(recorded(ledger, view, run), view.head.root)).changeable()
-    return Table(of_structs(found, Changeable), provenance, name="changeable")
+    elements = rerun(base_of_record(recorded(ledger, view, run), view.head.root)).changeable()
+    return Table(of_structs(elements, Changeable), provenance, name="changeable")
 
 
-def _end(found: "Divergence") -> Iterator[str]:
-    """Yield which commands the fork of a live run leaves out, and where and why it ends before all has happened."""
-    if found.left_out:
-        count, names = counted(len(found.left_out), "command"), map(printable.value, dict.fromkeys(found.left_out))
+def _end(divergence: "Divergence") -> Iterator[str]:
+    """Yield which commands the fork of a live run leaves out, and where and why it ends early."""
+    if divergence.left_out:
+        count, names = (
+            counted(len(divergence.left_out), "command"),
+            map(printable.value, dict.fromkeys(divergence.left_out)),
+        )
         yield f"not given there, since nothing asks for that: {count} on record, {printable.some(names)}"
-    if found.ends is not None:
-        yield f"the fork ends at {found.ends_s:.3f} s: {printable.value(found.ends, 1_000)}"
-        if found.question is not None:
-            question = printable.value(found.question)
+    if divergence.ends is not None:
+        yield f"the fork ends at {divergence.ends_s:.3f} s: {printable.value(divergence.ends, 1_000)}"
+        if divergence.question is not None:
+            question = printable.value(divergence.question)
             yield f'`--change "answer {question} ANSWER"` answers that; `--answers model:7` lets the model answer'
-    if found.left_out or found.ends is not None:
+    if divergence.left_out or divergence.ends is not None:
         yield ""
 
 
 def refusals(found: "Sequence[RefusedChange]", pairs: int) -> Iterator[str]:
     """Yield in how many pairs a change is refused, and why."""
     reasons: dict[str, int] = {}
-    for one in found:
-        reason = one.reason.partition(";")[0]  # what follows is what else the run has
-        reasons[reason] = reasons.get(reason, 0) + one.pairs
-    shown = list(reasons.items())
-    for reason, count in shown[: printable.NAMED]:
+    for refused in found:
+        reason = refused.reason.partition(";")[0]  # the rest is what else the run has
+        reasons[reason] = reasons.get(reason, 0) + refused.pairs
+    counts = list(reasons.items())
+    for reason, count in counts[: printable.NAMED]:
         yield f"in {count:,} of {pairs:,} a change comes to nothing: {printable.value(reason, 1_000)}"
-    if more := shown[printable.NAMED :]:
+    if more := counts[printable.NAMED :]:
         yield f"in {sum(count for _, count in more):,} of {pairs:,} for other reasons, which --json has"
 
 
-def _who(found: "Effects") -> str:
-    """Name the runs by architecture and configuration."""
-    who = found.architecture or "-"
-    return who if found.configuration in (None, "full") else f"{who} {found.configuration}"
+def _who(effects: "Effects") -> str:
+    """Return the architecture and configuration of the runs, as text."""
+    who = effects.architecture or "-"
+    return who if effects.configuration in (None, "full") else f"{who} {effects.configuration}"
 
 
-def _effects(found: "Effects", screen: Screen, *, is_alone: bool) -> Iterator[SafeText]:
+def _effects(effects: "Effects", screen: Screen, *, is_alone: bool) -> Iterator[SafeText]:
     """Yield the effects on one side; its whole name unless it is alone in its architecture and configuration."""
     from .table import plain
 
-    rows = [{NAMES.get(name, name): row[name] for name in COLUMNS} for row in plain(found.rows)]
-    who = _who(found) if is_alone or found.side is None else printable.value(found.side)
-    yield printable.lines("", f"{who}: {counted(found.pairs, 'pair')}, {found.diverging:,} of them diverge")
-    yield printable.lines(*refusals(found.refused, found.pairs))
+    rows = [{NAMES.get(name, name): row[name] for name in COLUMNS} for row in plain(effects.rows)]
+    who = _who(effects) if is_alone or effects.side is None else printable.value(effects.side)
+    yield printable.lines("", f"{who}: {counted(effects.pairs, 'pair')}, {effects.diverging:,} of them diverge")
+    yield printable.lines(*refusals(effects.refused, effects.pairs))
     yield screen.table(rows)
     yield printable.lines("")

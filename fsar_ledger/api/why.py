@@ -1,4 +1,4 @@
-"""The verb `why`: why an event happened, and which events made a verdict of SQL, in words."""
+"""The verb `why`: why an event happened, and which events led to a verdict of SQL, in words."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated
@@ -30,7 +30,7 @@ _ORIGINS = {
     "world": "a fact of the world",
     "command": "it came from outside, and the record says no more of why",
 }
-"""What is said of an event that no handler decided."""
+"""The description of an event that no handler decided, by origin."""
 
 
 class Why(Answer, msgspec.Struct, frozen=True, kw_only=True):
@@ -41,9 +41,9 @@ class Why(Answer, msgspec.Struct, frozen=True, kw_only=True):
         seq: The event.
         triggers: The chain of triggers: the event's, the trigger of that one, and so on to a fact of the world, a
             command from outside or event 0.
-        made: How the event came about, then the events that it rests on, as deep as was asked for.
+        made: How the event came about, then the events that it rests on, as deep as requested.
         lines: Every event that is named, in the words of `log`, by seq.
-        provenance: What the answer holds for.
+        provenance: The head that the answer holds for.
     """
 
     run: str
@@ -63,21 +63,21 @@ class Why(Answer, msgspec.Struct, frozen=True, kw_only=True):
         from fsar_ledger.base.publishing import publish
         from fsar_ledger.report.sequence import arcs
 
-        place, form = figure_place(file, kind)
-        if place.suffix[1:] != form:
+        path, form = figure_place(file, kind)
+        if path.suffix[1:] != form:
             raise UsageError(f"--{kind} {file}: expected a name that ends in .{kind}")
-        links, said = _links(self.seq, self.made), _said(self.made)
-        named = ((seq, self.lines[seq]) for seq in sorted({self.seq, *(end for link in links for end in link[:2])}))
+        links, reads = _links(self.seq, self.made), _said(self.made)
+        lines = ((seq, self.lines[seq]) for seq in sorted({self.seq, *(end for link in links for end in link[:2])}))
         rows = [
             {
                 "seq": seq,
                 "time_s": line.time_s,
                 "words": f"{line.action_id}  {line.text}" if line.action_id else line.text,
-                "read": said.get(seq, ""),
+                "read": reads.get(seq, ""),
             }
-            for seq, line in named
+            for seq, line in lines
         ]
-        publish(place, arcs(rows, links, self.seq, form))
+        publish(path, arcs(rows, links, self.seq, form))
 
     def document(self, _: Screen) -> Mapping[str, object]:
         """Return how the event came about, and every event that is named."""
@@ -86,8 +86,8 @@ class Why(Answer, msgspec.Struct, frozen=True, kw_only=True):
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the answer as an indented tree."""
-        proven = screen.event_word(self.run, self.seq)
-        hint = f"`fsar-ledger prove {printable.word(screen.path)} {proven}` proves event {self.seq} to others"
+        event = screen.event_word(self.run, self.seq)
+        hint = f"`fsar-ledger prove {printable.word(screen.path)} {event}` proves event {self.seq} to others"
         yield printable.lines(screen.run_text(self.run), "", *Tree(self).lines(), "", hint)
 
 
@@ -118,8 +118,8 @@ def _asked(
     name = whole_of(present(ledger)[0], ledger.record(run).run_id)
 
     def hint(screen: Screen, first: Row) -> str:
-        asked = f"{printable.word(screen.path)} {screen.event_word(name, first['seq'])}"
-        return f"`fsar-ledger why {asked}` says why event {first['seq']} happened"
+        arguments = f"{printable.word(screen.path)} {screen.event_word(name, first['seq'])}"
+        return f"`fsar-ledger why {arguments}` says why event {first['seq']} happened"
 
     return Listing(
         run=name,
@@ -209,45 +209,45 @@ def why_of(record: "LedgerRun", provenance: "Provenance", seq: int, depth: int |
             f"EVENT {printable.value(record.run_id)}:{seq}: found {len(record.events):,} events in the run, expected a "
             f"seq from 0 to {len(record.events) - 1}"
         )
-    found = reasons(record, seq, depth)
-    lines = lines_of([record], [(record.run_id, one) for one in found.seqs])
+    result = reasons(record, seq, depth)
+    lines = lines_of([record], [(record.run_id, named) for named in result.seqs])
     by_seq = {seq: line for (_, seq), line in sorted(lines.items())}
-    return Why(**msgspec.structs.asdict(found), lines=by_seq, provenance=provenance)
+    return Why(**msgspec.structs.asdict(result), lines=by_seq, provenance=provenance)
 
 
-def _links(seq: int, made: "Sequence[DecisionTrace]") -> list[tuple[int, int, bool]]:
-    """Return each pair of an event and what rests on it, and whether it triggered it; the asked one for its batch."""
+def _links(seq: int, traces: "Sequence[DecisionTrace]") -> list[tuple[int, int, bool]]:
+    """Return (cause, effect, whether it is the trigger) for each event that another rests on; `seq` is its batch."""
     links = []
-    for one in made:
-        effect = seq if one is made[0] else one.seq
-        links += [(cause, effect, cause == one.triggered_by) for cause in one.rests_on]
+    for trace in traces:
+        effect = seq if trace is traces[0] else trace.seq
+        links += [(cause, effect, cause == trace.triggered_by) for cause in trace.rests_on]
     return links
 
 
-def _said(made: "Sequence[DecisionTrace]") -> dict[int, str]:
-    """Return by event what the decision in question read of it."""
-    found: dict[int, dict[str, dict[str, None]]] = {}
-    for read in (*made[0].scheduled_reads, *made[0].reads):
+def _said(traces: "Sequence[DecisionTrace]") -> dict[int, str]:
+    """Return what the decision in question read of each event, by seq."""
+    reads: dict[int, dict[str, dict[str, None]]] = {}
+    for read in (*traces[0].scheduled_reads, *traces[0].reads):
         for seq in (read.written_by, *read.elements):
             if seq is not None:
-                found.setdefault(seq, {}).setdefault(read.place, {})[read.name] = None
+                reads.setdefault(seq, {}).setdefault(read.place, {})[read.name] = None
     return {
         seq: "read: " + "; ".join(f"{place}: {printable.some(names)}" for place, names in places.items())
-        for seq, places in found.items()
+        for seq, places in reads.items()
     }
 
 
 class Tree:
-    """The answer as an indented tree. How an event came about is told once, where it is first needed from the top."""
+    """The answer as an indented tree, with the origin of each event once, where it is first needed from the top."""
 
     def __init__(self, found: Why) -> None:
         self._found = found
-        self._made = {seq: one for one in found.made for seq in range(one.seq, one.seq + one.count)}
+        self._made = {seq: trace for trace in found.made for seq in range(trace.seq, trace.seq + trace.count)}
         self._under = {found.made[0].seq: found.made[0].seq}
-        for one in found.made:
-            for seq in one.rests_on:
+        for trace in found.made:
+            for seq in trace.rests_on:
                 if seq in self._made:
-                    self._under.setdefault(self._made[seq].seq, one.seq)
+                    self._under.setdefault(self._made[seq].seq, trace.seq)
         self._told: set[int] = set()
 
     def lines(self) -> Iterator[str]:
@@ -264,63 +264,65 @@ class Tree:
         line = self._found.lines[seq]
         return f"{seq:>6} {line.time_s:>10.3f} s  {line.words}"
 
-    def _origin(self, one: "DecisionTrace", indent: str) -> Iterator[str]:
+    def _origin(self, trace: "DecisionTrace", indent: str) -> Iterator[str]:
         """Yield how a batch came about, and below it what it rests on."""
-        self._told.add(one.seq)
-        if one.count > 1 and one.origin != "founding":
-            yield f"{indent}made at once: events {one.seq} to {one.seq + one.count - 1}"
-        if one.handler is None:
-            yield indent + _ORIGINS[one.origin]
+        self._told.add(trace.seq)
+        if trace.count > 1 and trace.origin != "founding":
+            yield f"{indent}made at once: events {trace.seq} to {trace.seq + trace.count - 1}"
+        if trace.handler is None:
+            yield indent + _ORIGINS[trace.origin]
             return
-        yield f"{indent}decided by {one.handler} on {one.command}"
-        if one.scheduled_by is not None:
-            yield f"{indent}scheduled by {one.scheduled_by}"
-        for answered in one.answers:
-            yield f"{indent}asked {answered.port}: {printable.value(answered.question)}, answered {answered.answer}"
-        groups = _by_writer((*one.scheduled_reads, *one.reads))
-        if one.triggered_by is not None:
-            yield from self._below(one, one.triggered_by, "triggered by", groups.pop(one.triggered_by, []), indent)
-        for fact in one.waited_for:
-            yield from self._below(one, fact, "waited for", groups.pop(fact, []), indent)
+        yield f"{indent}decided by {trace.handler} on {trace.command}"
+        if trace.scheduled_by is not None:
+            yield f"{indent}scheduled by {trace.scheduled_by}"
+        for reply in trace.answers:
+            yield f"{indent}asked {reply.port}: {printable.value(reply.question)}, answered {reply.answer}"
+        groups = _by_writer((*trace.scheduled_reads, *trace.reads))
+        if trace.triggered_by is not None:
+            yield from self._below(
+                trace, trace.triggered_by, "triggered by", groups.pop(trace.triggered_by, []), indent
+            )
+        for fact in trace.waited_for:
+            yield from self._below(trace, fact, "waited for", groups.pop(fact, []), indent)
         unwritten = groups.pop(None, [])
         for seq, reads in groups.items():
             if seq is not None:
-                yield from self._below(one, seq, "read of", reads, indent)
+                yield from self._below(trace, seq, "read of", reads, indent)
         if unwritten:
             yield f"{indent}read, and nothing had written it"
             yield from (f"{indent}{INDENT}{read}" for read in unwritten)
 
     def _below(self, above: "DecisionTrace", seq: int, how: str, reads: Sequence[str], indent: str) -> Iterator[str]:
-        """Yield an event that a batch rests on, what was read of it, and how it came about if its place is here."""
+        """Yield an event that a batch rests on, what was read of it, and how it came about if it is explained here."""
         line, deeper = self._found.lines[seq], indent + INDENT
         yield f"{indent}{how} {seq}  {line.time_s:.3f} s  {line.words}"
         yield from (f"{deeper}{read}" for read in reads)
-        made = self._made.get(seq)
-        if made is None or made.origin == "founding":
+        trace = self._made.get(seq)
+        if trace is None or trace.origin == "founding":
             return
-        if made.seq in self._told or self._under[made.seq] != above.seq:
-            under = self._under[made.seq]
-            yield f"{deeper}(told under {self._found.seq if under == self._found.made[0].seq else under})"
+        if trace.seq in self._told or self._under[trace.seq] != above.seq:
+            parent = self._under[trace.seq]
+            yield f"{deeper}(told under {self._found.seq if parent == self._found.made[0].seq else parent})"
         else:
-            yield from self._origin(made, deeper + INDENT if reads else deeper)
+            yield from self._origin(trace, deeper + INDENT if reads else deeper)
 
 
 def _by_writer(reads: "Sequence[Read]") -> dict[int | None, list[str]]:
-    """Return by the event that wrote it what was read, a line for each place; the earliest event first.
+    """Return what was read, a line for each place, by the event that wrote it; the earliest event first.
 
-    What the presence of a key says is left out where something under that key was read.
+    The presence of a key is left out if a value under that key was read.
     """
     places = {read.place for read in reads}
-    found: dict[int | None, dict[str, dict[str, str]]] = {}
+    by_writer: dict[int | None, dict[str, dict[str, str]]] = {}
     for read in reads:
         if read.name.startswith("has ") and f"{read.place}[{read.name[4:]}]" in places:
             continue
-        of_writer = found.setdefault(read.written_by, {})
-        of_writer.setdefault(read.place, {})[read.name] = f"{read.name} = {_value(read)}"
+        written = by_writer.setdefault(read.written_by, {})
+        written.setdefault(read.place, {})[read.name] = f"{read.name} = {_value(read)}"
         for seq in read.elements:
             if seq != read.written_by:
-                found.setdefault(seq, {}).setdefault(read.place, {})[read.name] = f"{read.name}, in part"
-    ordered = sorted(found.items(), key=lambda one: -1 if one[0] is None else one[0])
+                by_writer.setdefault(seq, {}).setdefault(read.place, {})[read.name] = f"{read.name}, in part"
+    ordered = sorted(by_writer.items(), key=lambda item: -1 if item[0] is None else item[0])
     return {
         seq: [
             f"{printable.value(place)}: {printable.value(', '.join(names.values()), MAX_WORDS)}"
@@ -335,5 +337,5 @@ def _value(read: "Read") -> str:
         return "absent"
     from .texts import json_bytes
 
-    shown = read.value if isinstance(read.value, str) else json_bytes(read.value).decode()
-    return printable.value(shown, MAX_VALUE) or '""'
+    text = read.value if isinstance(read.value, str) else json_bytes(read.value).decode()
+    return printable.value(text, MAX_VALUE) or '""'

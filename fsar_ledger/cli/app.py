@@ -1,7 +1,7 @@
 """The typer application, and `run`, which turns a call into an exit code.
 
-A command is a verb (`api/verbs.py`). Only `terminal.py` prints, and only this room reads a clock. Verbs import what
-they need when they are called, so that `--help` stays quick. A command that fails raises an error of `errors.py`; `run`
+A command is a verb (`api/verbs.py`). Only `terminal.py` prints, and only this package reads a clock. Verbs import what
+they need when they are called, so that `--help` stays fast. A command that fails raises an error of `errors.py`; `run`
 turns it into one message on stderr and its exit code: 0 fine, 1 a write failed, a worker was killed or an audit found
 something, 2 the call was wrong, 3 the ledger is damaged, 130 interrupted.
 """
@@ -46,7 +46,7 @@ FAMILIES = {
     "study run": "Run a study.",
     "witness": "Run a witness, which checks that ledgers only grow, or have your own ledger cosigned by witnesses.",
 }
-"""What the commands do whose names begin with the same words."""
+"""The help of each group of commands whose names begin with the same words."""
 HOMES = {
     "demo": ("fsar_ledger.api.serve",),
     "hand-over": ("fsar_ledger.api.federate",),
@@ -62,11 +62,11 @@ HOMES = {
     "verify-proof": ("fsar_ledger.api.prove",),
     "witness": ("fsar_ledger.api.key",),
 }
-"""The modules of verbs that are not those of the same name in the API."""
+"""The modules of verbs that are not in the API module of the same name."""
 
 
 class Commands(Mapping[str, Any]):
-    """The commands by name; each is made when it is first asked for, since a call needs only one."""
+    """The commands by name; each is created on first access, since a call needs only one."""
 
     def __init__(self) -> None:
         self._made: dict[str, Any] = {}
@@ -87,12 +87,12 @@ class Commands(Mapping[str, Any]):
 
 
 class Family(TyperGroup):
-    """Commands whose names begin with the same words."""
+    """A group of commands whose names begin with the same words."""
 
     def format_commands(self, _: Any, formatter: Any) -> None:
         """Write the first line of the help of each command, whole."""
         with formatter.section("Commands"):
-            formatter.write_dl([(name, (one.help or "").partition("\n")[0]) for name, one in self.commands.items()])
+            formatter.write_dl([(name, (child.help or "").partition("\n")[0]) for name, child in self.commands.items()])
 
 
 class Verbs(TyperGroup):
@@ -118,8 +118,8 @@ def _verbs(name: str) -> list[Verb]:
     homes = _homes(name)
     for home in homes:
         import_module(home)
-    found = [one for one in VERBS.values() if one.name.partition(" ")[0] == name]
-    return sorted(found, key=lambda one: homes.index(one.function.__module__))
+    verbs = [verb for verb in VERBS.values() if verb.name.partition(" ")[0] == name]
+    return sorted(verbs, key=lambda verb: homes.index(verb.function.__module__))
 
 
 def _homes(name: str) -> tuple[str, ...]:
@@ -129,33 +129,37 @@ def _homes(name: str) -> tuple[str, ...]:
 def _summary(name: str) -> str:
     """Return the first line of the help of a command.
 
-    It is read from the source, since to import every module takes longer than all the rest of the help.
+    It is read from the source, since importing every module takes longer than the rest of the help.
     """
     if name in FAMILIES:
         return FAMILIES[name]
     source = (Path(__file__).parents[1] / f"api/{_homes(name)[0].rpartition('.')[2]}.py").read_text("utf-8")
-    own = rf'^def {name.replace("-", "_")}\(.*?"""(.*?)$'
-    named = rf'^    name="{name}",$.*?^def \w+\(.*?"""(.*?)$'
-    found = re.search(named, source, re.DOTALL | re.MULTILINE) or re.search(own, source, re.DOTALL | re.MULTILINE)
-    assert found is not None  # a test reads the help
-    return help_in(found[1].removesuffix('"""'))
+    by_function = rf'^def {name.replace("-", "_")}\(.*?"""(.*?)$'
+    by_name = rf'^    name="{name}",$.*?^def \w+\(.*?"""(.*?)$'
+    match = re.search(by_name, source, re.DOTALL | re.MULTILINE) or re.search(
+        by_function, source, re.DOTALL | re.MULTILINE
+    )
+    assert match is not None  # a test reads the help
+    return help_in(match[1].removesuffix('"""'))
 
 
 def _made(words: str, verbs: Sequence[Verb]) -> Any:
-    """Make the command of the verb of this name, or the family of those that begin with these words."""
+    """Return the command of the verb of this name, or the family of those that begin with these words."""
     if words not in FAMILIES:
-        return command(next(one for one in verbs if one.name == words), words.rpartition(" ")[2])
-    further = dict.fromkeys(one.name.split()[len(words.split())] for one in verbs if one.name.startswith(f"{words} "))
+        return command(next(verb for verb in verbs if verb.name == words), words.rpartition(" ")[2])
+    next_words = dict.fromkeys(
+        verb.name.split()[len(words.split())] for verb in verbs if verb.name.startswith(f"{words} ")
+    )
     family = Family(name=words.rpartition(" ")[2], help=FAMILIES[words], rich_markup_mode=None)
-    for word in further:
+    for word in next_words:
         family.add_command(_made(f"{words} {word}", verbs), word)
     return family
 
 
 def _left_by(arguments: Sequence[str]) -> str:
-    called = f"{' '.join(arguments)} "
+    line = f"{' '.join(arguments)} "
     return next(
-        (one.after_interruption for one in VERBS.values() if called.startswith(f"{one.name} ")),
+        (verb.after_interruption for verb in VERBS.values() if line.startswith(f"{verb.name} ")),
         NOTHING_CHANGED,
     )
 

@@ -1,7 +1,7 @@
-"""Commands from verbs: the options from the signature of the function, and the call from what was given.
+"""Commands from verbs: the options from the signature of the function, and the call from the given values.
 
-Completion: what is called when the shell asks imports what it needs then, and offers nothing where it cannot tell: a
-shell has no place for a message.
+Completion: the functions that the shell calls import what they need then, and offer nothing on an error, since a shell
+cannot show a message.
 """
 
 import inspect
@@ -55,29 +55,29 @@ TAKEN: Mapping[str, Option] = {
         "640 + 192 for each core or worker beyond two + 16 times the size of the segments",
     ),
 }
-"""What a command can have beside the options of its verb; without a metavar it is a switch, without a value None."""
+"""The options of commands beside those of their verb; without a metavar a switch, without a value None by default."""
 
 
 class Command(TyperCommand):
-    """A command that refuses an option with one value that is given several times: one would be dropped in silence."""
+    """A command that refuses repeated options with one value, since all but one would be silently dropped."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments.
 
         Raises:
             UsageError: An option that has one value is given several times.
-            TyperException: Another mistake of the call; it knows the command, whose help the message names.
+            TyperException: Another mistake in the call; it has the command, whose help the message names.
         """
         if not ctx.resilient_parsing:  # as in completion, where the call is not yet whole
             try:
-                _, _, given = self.make_parser(ctx).parse_args(args=list(args))
+                _, _, order = self.make_parser(ctx).parse_args(args=list(args))
             except typer.TyperException as problem:
                 vars(problem).update(ctx=ctx)  # the parser leaves it out
                 raise
-            for one, count in Counter(given).items():
-                if isinstance(one, TyperOption) and count > 1 and not (one.multiple or one.is_flag):
+            for parameter, count in Counter(order).items():
+                if isinstance(parameter, TyperOption) and count > 1 and not (parameter.multiple or parameter.is_flag):
                     raise UsageError(
-                        f"{one.opts[0]}: found it {count} times, expected it once, since it has one value "
+                        f"{parameter.opts[0]}: found it {count} times, expected it once, since it has one value "
                         f"(see `{ctx.command_path} --help`)"
                     )
         return super().parse_args(ctx, args)
@@ -86,65 +86,65 @@ class Command(TyperCommand):
 def command(verb: Verb, name: str) -> TyperCommand:
     """Return the command of a verb, under this name."""
     examples = "\b\nExamples:\n" + "\n".join(f"  {line}" for line in verb.examples)
-    made = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-    made.command(name, cls=Command, help=verb.help, epilog=examples)(_callback(verb))
-    found = typer.main.get_command(made)
-    assert isinstance(found, TyperCommand)
-    return found
+    application = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    application.command(name, cls=Command, help=verb.help, epilog=examples)(_callback(verb))
+    result = typer.main.get_command(application)
+    assert isinstance(result, TyperCommand)
+    return result
 
 
 def _callback(verb: Verb) -> Callable[..., None]:
     parameters = verb.parameters.values()
-    own = {one.name: found for one in parameters if isinstance(found := declared(one), Option)}
-    ledgers = [one.name for one in parameters if _names_ledger(one.annotation)]
-    stored = [name for name, found in own.items() if found.metavar == "LEDGER" and name not in ledgers]
-    has_limit = "ledger" in ledgers and not any(found.flag == "--memory" for found in own.values())
+    options = {parameter.name: entry for parameter in parameters if isinstance(entry := declared(parameter), Option)}
+    ledgers = [parameter.name for parameter in parameters if _names_ledger(parameter.annotation)]
+    other_ledgers = [name for name, option in options.items() if option.metavar == "LEDGER" and name not in ledgers]
+    has_limit = "ledger" in ledgers and not any(option.flag == "--memory" for option in options.values())
     taken = {name: TAKEN[name] for name in (*verb.takes, *(["memory"] if has_limit else []))}
 
     def call(context: typer.Context, **given: Any) -> None:
         from .render import Form, respond
 
         beside = {name: given.pop(name) for name in taken}
-        most = beside.get("memory", given.get("memory_mib"))
-        judging = _processes(beside.get("cluster"))
-        for name, found in own.items():
-            if found.metavar == "NAME=VALUE" and found.flag == "--param":
+        memory_mib = beside.get("memory", given.get("memory_mib"))
+        judges = _processes(beside.get("cluster"))
+        for name, option in options.items():
+            if option.metavar == "NAME=VALUE" and option.flag == "--param":
                 given[name] = parameters_of(given[name])
-        asked = {name for name in verb.beside if given.pop(name)}
+        switches = {name for name in verb.beside if given.pop(name)}
         drawn = {kind: file for kind in ("svg", "pdf") if (file := beside.get(kind)) is not None}
         forms = {f"as_{name}": beside.get(name, False) for name in ("json", "csv", "ndjson")}
         form = Form(**forms, **{name: beside[name] for name in ("raw", "limit", "wide") if name in beside})
         verb.arrange(given)
         is_bounded = "ledger" in ledgers and not verb.is_apart(given)
-        read = [given[name] for name in ledgers] + [place for name in stored for place in _several(given[name])]
-        # A process that judges takes as much as two that verify.
-        workers = given.get("workers") or (2 + 2 * judging if judging else None)
-        limit = partial(bounded, most, *read, workers=workers, memory_factor=verb.memory_factor)
+        paths = [given[name] for name in ledgers] + [path for name in other_ledgers for path in _several(given[name])]
+        # A process that judges takes as much memory as two that verify.
+        workers = given.get("workers") or (2 + 2 * judges if judges else None)
+        limit = partial(bounded, memory_mib, *paths, workers=workers, memory_factor=verb.memory_factor)
         with _shared(beside.get("cluster")), limit() if is_bounded else nullcontext():
-            demands = beside.get("verified", False)
-            code = respond(verb, given, ledgers, form, asked, drawn, verified=demands, clock=context.obj)
+            verified = beside.get("verified", False)
+            code = respond(verb, given, ledgers, form, switches, drawn, verified=verified, clock=context.obj)
         if code:
             raise typer.Exit(code)
 
     accepted = [inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)]
-    if ledgers[:1] == ["ledger"] and "ledger" not in own:
+    if ledgers[:1] == ["ledger"] and "ledger" not in options:
         accepted.append(_accepted("ledger", Path, inspect.Parameter.empty, LEDGER))
     accepted += [
-        _accepted(one.name, _type_of(one), one.default, own[one.name]) for one in parameters if one.name in own
+        _accepted(one.name, _type_of(one), one.default, options[one.name]) for one in parameters if one.name in options
     ]
-    accepted += [_accepted(name, bool, False, found) for name, found in verb.beside.items()]
+    accepted += [_accepted(name, bool, False, option) for name, option in verb.beside.items()]
     kinds = {None: bool, "FILE": Path | None, "ADDRESS": str | None, "N": int, "MIB": int | None}
     accepted += [
-        _accepted(name, kinds[found.metavar], False if found.metavar is None else found.value, found)
-        for name, found in taken.items()
+        _accepted(name, kinds[option.metavar], False if option.metavar is None else option.value, option)
+        for name, option in taken.items()
     ]
     call.__signature__ = inspect.Signature(accepted)  # type: ignore[attr-defined]
-    call.__annotations__ = {one.name: one.annotation for one in accepted}
+    call.__annotations__ = {parameter.name: parameter.annotation for parameter in accepted}
     return call
 
 
 def _shared(address: str | None) -> AbstractContextManager[None]:
-    """Return the context in which a cluster does the work; one that changes nothing where none is named."""
+    """Return the context in which a cluster does the work; a null context if none is named."""
     if address is None:
         return nullcontext()
     from fsar_ledger.base.workers import cluster
@@ -153,7 +153,7 @@ def _shared(address: str | None) -> AbstractContextManager[None]:
 
 
 def _processes(address: str | None) -> int:
-    """Return how many processes of this machine the cluster of this address has; 0 where none is named."""
+    """Return how many processes of this machine the cluster at this address has; 0 if none is named."""
     if address is None:
         return 0
     from fsar_ledger.base.workers import local_processes
@@ -161,24 +161,24 @@ def _processes(address: str | None) -> int:
     return local_processes(address) or 0
 
 
-def _accepted(name: str, kind: Any, default: object, found: Option) -> inspect.Parameter:
-    told: dict[str, Any] = {"metavar": found.metavar, "help": found.help, "min": found.least, "max": found.most}
-    told |= {"envvar": found.environment}
-    if found.default is not None or default in (None, inspect.Parameter.empty):
-        told["show_default"] = found.default or False
-    if found.complete is not None:
-        told["autocompletion"] = offered(found.complete)
-    info = typer.Argument(**told) if found.flag is None else typer.Option(found.flag, **told)
+def _accepted(name: str, kind: Any, default: object, option: Option) -> inspect.Parameter:
+    extra: dict[str, Any] = {"metavar": option.metavar, "help": option.help, "min": option.least, "max": option.most}
+    extra |= {"envvar": option.environment}
+    if option.default is not None or default in (None, inspect.Parameter.empty):
+        extra["show_default"] = option.default or False
+    if option.complete is not None:
+        extra["autocompletion"] = offered(option.complete)
+    info = typer.Argument(**extra) if option.flag is None else typer.Option(option.flag, **extra)
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=Annotated[kind, info], default=default)
 
 
-def _type_of(one: inspect.Parameter) -> Any:
-    """Return the type that the command line reads: a path or text where Python takes more than these."""
-    words = set(re.findall(r"\w+", str(get_args(one.annotation)[0])))
+def _type_of(parameter: inspect.Parameter) -> Any:
+    """Return the type that the command line reads: a path or text if Python takes more than these."""
+    words = set(re.findall(r"\w+", str(get_args(parameter.annotation)[0])))
     kinds = {"PathLike": Path, "Ledger": Path, "str": str, "Literal": str, "bool": bool, "int": int, "float": float}
-    read: Any = next(kind for name, kind in kinds.items() if name in words)
-    read = list[read] if words & {"Sequence", "Mapping"} else read
-    return read | None if one.default in (None, ()) else read
+    result: Any = next(kind for name, kind in kinds.items() if name in words)
+    result = list[result] if words & {"Sequence", "Mapping"} else result
+    return result | None if parameter.default in (None, ()) else result
 
 
 def _names_ledger(annotation: Any) -> bool:
@@ -215,24 +215,24 @@ MOST = 1_000
 
 
 class Line(NamedTuple):
-    """The line so far: the arguments and options that it gives, by name, and the word that is being typed."""
+    """An incomplete command line: its arguments and options by name, and the word that is being typed."""
 
     given: Mapping[str, Any]
     typed: str
 
 
 def offered(what: str) -> Callable[[typer.Context, str], list[str]]:
-    """Return what typer asks for names of this kind.
+    """Return the function that typer calls for names of this kind.
 
-    It offers only single words that a terminal shows as they are, and nothing where the line or the ledger is wrong.
+    It offers only single words that a terminal shows as they are, and nothing if the line or the ledger is wrong.
     """
 
     def offer(ctx: typer.Context, incomplete: str) -> list[str]:
         try:
-            found = [name for name in OFFERS[what](Line(_given(ctx), incomplete)) if name.startswith(incomplete)]
+            names = [name for name in OFFERS[what](Line(_given(ctx), incomplete)) if name.startswith(incomplete)]
         except (FsarLedgerError, OSError):
             return []
-        return [name for name in found if printable.is_shown(name) and not any(map(str.isspace, name))][:MOST]
+        return [name for name in names if printable.is_shown(name) and not any(map(str.isspace, name))][:MOST]
 
     return offer
 
@@ -242,9 +242,9 @@ def _given(ctx: typer.Context) -> dict[str, Any]:
 
     After an option that still lacks its value, which is the one being typed, the arguments are not yet by name.
     """
-    lacking = [one.name for one in ctx.command.params if one.param_type_name == "argument"]
-    by_place = {name: value for name, value in zip(lacking, ctx.args, strict=False) if name is not None}
-    return {**ctx.params, **by_place}
+    names = [parameter.name for parameter in ctx.command.params if parameter.param_type_name == "argument"]
+    positional = {name: value for name, value in zip(names, ctx.args, strict=False) if name is not None}
+    return {**ctx.params, **positional}
 
 
 def _designs(folder: str) -> list[str]:
@@ -262,7 +262,7 @@ def _mechanisms(line: Line) -> Iterable[str]:
 def _invariants(_: Line) -> Iterable[str]:
     from fsar_ledger.metrics.invariants import invariants
 
-    return [one.relation.partition("_")[0] for one in invariants()]
+    return [invariant.relation.partition("_")[0] for invariant in invariants()]
 
 
 def _constants(_: Line) -> Iterable[str]:
@@ -272,11 +272,11 @@ def _constants(_: Line) -> Iterable[str]:
 
 
 def _queries(line: Line) -> Iterable[str]:
-    """Return the full names of the queries, or where no `/` is typed, also the last parts."""
+    """Return the full names of the queries and, if no `/` is typed, also the last parts."""
     from fsar_ledger.metrics.library import library
 
-    known = library()
-    return [*known.queries, *(known.relations if line.typed and "/" not in line.typed else ())]
+    packaged = library()
+    return [*packaged.queries, *(packaged.relations if line.typed and "/" not in line.typed else ())]
 
 
 def _studies(_: Line) -> Iterable[str]:
@@ -289,11 +289,11 @@ def _parameters(line: Line) -> Iterable[str]:
     """Return the parameters of the query that the line names, as `NAME=`, and after the `=` their values."""
     from fsar_ledger.metrics.library import library
 
-    known = library().find(line.given.get("name") or line.given.get("query") or "").parameters
+    parameters = library().find(line.given.get("name") or line.given.get("query") or "").parameters
     name, equals, _ = line.typed.partition("=")
     if not equals:
-        return [f"{one}=" for one in known]
-    return [f"{name}={value}" for value in _values(line, known[name])] if name in known else []
+        return [f"{parameter}=" for parameter in parameters]
+    return [f"{name}={value}" for value in _values(line, parameters[name])] if name in parameters else []
 
 
 def _architectures(_: Line) -> Iterable[str]:
@@ -315,7 +315,7 @@ OFFERS: Mapping[str, Callable[[Line], Iterable[str]]] = {
     "actions": lambda line: _on_record(line, "action", line.given.get("run")),
     "parameters": _parameters,
 }
-"""By what `Option.complete` says, the names that are offered."""
+"""The names that are offered, by `Option.complete`."""
 
 
 def _values(line: Line, one: "Parameter") -> Sequence[str]:
@@ -339,9 +339,9 @@ LEAST_MIB = 256
 BASE_BYTES = 640 << 20
 PER_BYTE = 16
 """By default a command may take `BASE_BYTES`, and `PER_BYTE` bytes for each byte of the segments on disk. Most commands
-need 300 MiB and 10; `report` takes some 40 for each byte (`Verb.memory_factor`). Of a ledger of ten million events
-`study run multiverse` and `open` need more and are given it with --memory: a larger default would also be there for a
-small file that unpacks to much.
+need 300 MiB and 10; `report` takes some 40 for each byte (`Verb.memory_factor`). For a ledger of ten million events
+`study run multiverse` and `open` need more, given by --memory: a larger default would also hold for a small file that
+unpacks to much.
 """
 
 PER_WORKER_BYTES = 192 << 20
@@ -354,7 +354,7 @@ MACHINE_SHARE = 0.8
 def bounded(
     asked_mib: int | None, *ledgers: Path | None, workers: int | None = None, memory_factor: int = 1
 ) -> Iterator[None]:
-    """Limit the memory of the command to what was asked for, or to what ledgers of this size need.
+    """Limit the memory of the command to the requested amount, or to what ledgers of this size need.
 
     Beyond that the command ends with one message and exit code 2.
 

@@ -1,4 +1,4 @@
-"""Answer a verb's call: open its ledgers, show the answer in the form asked for, and warn of what it leaves open.
+"""Answer a verb's call: open its ledgers, show the answer in the requested form, and warn of its gaps.
 
 Warnings go to stderr before the answer goes to stdout. Answers of any length become text a few rows at a time, so that
 memory does not grow with the answer.
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.provenance import Provenance
 
 KEPT_BYTES = 16 << 20
-"""Longer text waits in an unnamed file, not in memory, until it is complete."""
+"""Text longer than this is buffered in an unnamed file, not in memory, until it is complete."""
 PIECE = 1 << 20
 
 
@@ -55,8 +55,8 @@ class Form(msgspec.Struct, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         forms = {"--json": self.as_json, "--csv": self.as_csv, "--ndjson": self.as_ndjson}
-        if len(found := [option for option, is_asked in forms.items() if is_asked]) > 1:
-            raise UsageError(f"found {' and '.join(found)}, expected one of them")
+        if len(chosen := [option for option, is_set in forms.items() if is_set]) > 1:
+            raise UsageError(f"found {' and '.join(chosen)}, expected one of them")
         if self.raw and not self.as_csv:
             raise UsageError(
                 "found --raw without --csv, expected both or neither; --json always gives the values themselves"
@@ -64,11 +64,11 @@ class Form(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_for_programs(self) -> bool:
-        """Return whether nothing may stand beside the answer."""
+        """Return whether nothing may be printed beside the answer."""
         return self.as_json or self.as_csv or self.as_ndjson
 
     def screen(self, ledger: "Ledger | None" = None, asked: Collection[str] = ()) -> Screen:
-        """Return what an answer about this ledger, with these switches, may know of its call."""
+        """Return the display context of an answer about this ledger, with these switches."""
         return Screen(ledger, asked, width_of_output(), is_wide=self.wide, limit=self.limit)
 
     def pieces(self, answer: Answer, screen: Screen) -> Iterable[SafeText]:
@@ -93,7 +93,7 @@ class Form(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def answer_json(about: "Provenance | None", answer: Mapping[str, object]) -> SafeText:
-    """Return one JSON object in ASCII: what the answer holds for, then the answer.
+    """Return one JSON object in ASCII: the provenance of the answer, then the answer.
 
     Bytes of a file name that are not UTF-8 are escaped, `\\udcff` for ff.
     """
@@ -109,12 +109,12 @@ def answer_json(about: "Provenance | None", answer: Mapping[str, object]) -> Saf
 def _json(empty: str, rows: "Rows") -> Iterator[SafeText]:
     from fsar_ledger.api.texts import in_turn, json_lines
 
-    before, after = empty.rsplit("[]", 1)
+    head, tail = empty.rsplit("[]", 1)
     is_first = True
     for lines in in_turn(partial(json_lines, before="    ", after=",\n"), filter(len, rows.batches())):
-        yield SafeText((before + "[\n" if is_first else ",\n") + lines.removesuffix(",\n"))
+        yield SafeText((head + "[\n" if is_first else ",\n") + lines.removesuffix(",\n"))
         is_first = False
-    yield SafeText(f"{before}[]{after}" if is_first else f"\n  ]{after}")
+    yield SafeText(f"{head}[]{tail}" if is_first else f"\n  ]{tail}")
 
 
 def _ndjson(rows: "Rows") -> Iterator[SafeText]:
@@ -131,10 +131,10 @@ def _csv(rows: "Rows", *, raw: bool) -> Iterator[SafeText]:
 
 
 class Kept:
-    """Text that is shown only once all of it is there, so that a reader gets a whole answer or an error."""
+    """Text that is shown only once it is complete, so that a reader gets a whole answer or an error."""
 
     def __init__(self, pieces: Iterable[SafeText]):
-        """Make all pieces now. Raises: Whatever that raises."""
+        """Make all pieces now. Raises: As `pieces`."""
         self._file = tempfile.SpooledTemporaryFile(KEPT_BYTES)  # noqa: SIM115
         try:
             for piece in pieces:
@@ -156,8 +156,8 @@ def _gift(what: str, clock: Callable[[], int]) -> object:
         return clock()
     if what == "walk":
         return _walk if has_keys() else None
-    given = {"clock": clock, "ticks": time.monotonic, "pause": pause, "say": say, "show": show, "showing": Progress}
-    return given[what]
+    gifts = {"clock": clock, "ticks": time.monotonic, "pause": pause, "say": say, "show": show, "showing": Progress}
+    return gifts[what]
 
 
 def _walk(steps: "Steps", title: str) -> None:
@@ -214,7 +214,7 @@ def respond(
     verified: bool,
     clock: Callable[[], int],
 ) -> int:
-    """Answer the call, show the answer, and return the exit code. Raises: Whatever the verb raises.
+    """Answer the call, show the answer, and return the exit code. Raises: As the verb.
 
     Args:
         verb: The verb.
@@ -228,23 +228,23 @@ def respond(
     """
     from fsar_ledger.ledger.store.paths import require_outside
 
-    for kind, file in drawn.items():  # before anything is asked
+    for kind, file in drawn.items():  # before any work
         require_outside(file, f"--{kind} {file}")
-    places = {name: given[name] for name in ledgers if given[name] is not None}
-    held = {name: opened(place, verified=verified) for name, place in places.items()}
-    screen = form.screen(held.get("ledger"), asked)
+    paths = {name: given[name] for name in ledgers if given[name] is not None}
+    open_ledgers = {name: opened(path, verified=verified) for name, path in paths.items()}
+    screen = form.screen(open_ledgers.get("ledger"), asked)
     with ExitStack() as stack:
-        for one in verb.parameters.values():
-            beside = declared(one)
-            if isinstance(beside, Shows):
-                words = (other for switch, other in beside.instead.items() if given[switch])
-                given[one.name] = stack.enter_context(Progress(next(words, beside.verb), beside.unit))
-            elif isinstance(beside, Gives):
-                given[one.name] = _gift(beside.what, clock)
-        answer = verb.call(**given | held)
-        for ledger in held.values():
-            ledger.demanded  # noqa: B018 - compares the rows, had the verb not asked for them
-    if isinstance(answer, AbstractContextManager):  # rows that come from a process, which may fail in their midst
+        for parameter in verb.parameters.values():
+            declaration = declared(parameter)
+            if isinstance(declaration, Shows):
+                words = (other for switch, other in declaration.instead.items() if given[switch])
+                given[parameter.name] = stack.enter_context(Progress(next(words, declaration.verb), declaration.unit))
+            elif isinstance(declaration, Gives):
+                given[parameter.name] = _gift(declaration.what, clock)
+        answer = verb.call(**given | open_ledgers)
+        for ledger in open_ledgers.values():
+            ledger.demanded  # noqa: B018 - compares the rows, if the verb has not
+    if isinstance(answer, AbstractContextManager):  # rows from a process, which may fail midway
         with answer as rows:
             pieces: Iterable[SafeText] = Kept(form.pieces(rows, screen))
             answer = rows
@@ -253,8 +253,8 @@ def respond(
         for kind, file in drawn.items():
             answer.draw(file, kind)
         pieces = [] if answer.failure is not None and not form.as_json else form.pieces(answer, screen)
-    for place, provenance in zip(places.values(), provenances(answer), strict=False):
-        warn(place, provenance)
+    for path, provenance in zip(paths.values(), provenances(answer), strict=False):
+        warn(path, provenance)
     for piece in pieces:
         show(piece, raw=form.raw)
     if not form.is_for_programs:
@@ -266,7 +266,7 @@ def respond(
 
 LINE_END = "\n"
 EVERY_S = 0.1
-"""Seconds between two states of the line."""
+"""Seconds between two updates of the line."""
 
 
 class Progress:
@@ -302,10 +302,10 @@ class Progress:
 
 
 def _bar(verb: str, unit: str) -> "Bar":
-    """Return a bar of rich, which is imported only where somebody sees it.
+    """Return a progress bar of rich, which is imported only if the bar is visible.
 
-    It is never started, only drawn: a started one has a thread, which processes that are forked would inherit, and
-    hides the cursor, which stays hidden where the memory limit ends the process.
+    It is never started, only drawn: a started one has a thread, which forked processes would inherit, and hides the
+    cursor, which stays hidden if the memory limit ends the process.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Task, TextColumn, TimeRemainingColumn

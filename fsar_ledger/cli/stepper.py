@@ -1,6 +1,6 @@
-"""The screen of `step`: the events around the place, the event's record, and how things stand after it.
+"""The screen of `step`: the events around the current one, its record, and the situation after it.
 
-Text from a ledger is escaped first, and handed on as plain text, never as markup.
+Text from a ledger is escaped first, and passed on as plain text, never as markup.
 """
 
 from typing import TYPE_CHECKING, ClassVar
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from fsar_ledger.api.state import Steps
 
 AROUND = 200
-"""Events that are listed before and after the place."""
+"""Events that are listed before and after the current one."""
 ASKS = {"next-of": "robot, as B1", "go": "time or event, as 46.6s or 289", "find": "text"}
-"""The moves that need to be told more, and what."""
+"""The moves that need an argument, and the prompt for it."""
 
 
 class Stepper(App[None]):
@@ -73,20 +73,20 @@ class Stepper(App[None]):
         yield Footer()
 
     def on_mount(self) -> None:
-        """Show the first place."""
+        """Show the first event."""
         self._show("")
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:  # noqa: ARG002 - the name is textual's
-        """Leave the keys to the field while it asks."""
+        """Leave the keys to the input field while it is shown."""
         is_asking = self.is_running and self.query_one("#asked", Input).has_class("shown")
         return not (is_asking and action in ("move", "ask", "quit"))
 
     def action_move(self, name: str) -> None:
-        """Make a move that needs nothing more."""
+        """Make a move that needs no argument."""
         self._show(self.steps.move(name) or "")
 
     def action_ask(self, name: str) -> None:
-        """Ask for what a move needs; an empty answer repeats the last one."""
+        """Prompt for the argument of a move; an empty answer repeats the last one."""
         self._asking = name
         field = self.query_one("#asked", Input)
         field.placeholder, field.value = ASKS[name], ""
@@ -94,18 +94,18 @@ class Stepper(App[None]):
         field.focus()
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
-        """Make the move that was asked about."""
+        """Make the move whose argument was entered."""
         name, about = self._asking, event.value.strip()
         self._about[name] = about or self._about[name]
         event.input.remove_class("shown")
         self.set_focus(None)
         try:
-            said = self.steps.move(name, self._about[name])
+            message = self.steps.move(name, self._about[name])
         except UsageError as error:
-            said = str(error)
-        self._show(said or "")
+            message = str(error)
+        self._show(message or "")
 
-    def _show(self, said: str) -> None:
+    def _show(self, message: str) -> None:
         steps = self.steps
         first, last = max(0, steps.seq - AROUND), min(steps.size, steps.seq + AROUND)
         lines = []
@@ -114,9 +114,9 @@ class Stepper(App[None]):
             words = printable.value(steps.words[seq], 500)
             lines.append(Content.styled(f"{mark}{seq:>6} {steps.time_s(seq):>10.3f} s  {words}", style))
         self.query_one("#list", Static).update(Content("\n").join(lines))
-        held = [f"{name} = {printable.value(str(value), 500)}" for name, value in steps.fields() if value is not None]
-        self.query_one("#event", Static).update(Content("\n".join(held)))
+        fields = [f"{name} = {printable.value(str(value), 500)}" for name, value in steps.fields() if value is not None]
+        self.query_one("#event", Static).update(Content("\n".join(fields)))
         self.query_one("#state", Static).update(Content("\n".join(standing_lines(steps.standing()))))
-        self.query_one("#said", Static).update(Content(printable.escaped(said)))
+        self.query_one("#said", Static).update(Content(printable.escaped(message)))
         events = self.query_one("#events", VerticalScroll)
         events.scroll_to(y=max(0, steps.seq - first - events.size.height // 2), animate=False)

@@ -1,7 +1,7 @@
 """The one place that prints: answers on stdout, messages on stderr.
 
 Only text whose values are escaped (`SafeText`) can be shown, and it is checked once more here. On a terminal, a line
-that is too long continues on the next one behind a mark, so that no line of the screen begins with text that others
+that is too long continues on the next one after a mark, so that no line of the screen begins with text that others
 wrote.
 """
 
@@ -18,7 +18,7 @@ from fsar_ledger.base.errors import WriteFailed
 from fsar_ledger.base.printable import SafeText, columns_of
 
 ON = "  | "
-"""The mark before the rest of a line for which the terminal is too narrow."""
+"""The mark before the rest of a line that is too long for the terminal."""
 
 NARROWEST, USUAL = 20, 80
 """Columns: the fewest for which lines are folded, and those of a terminal that does not report them."""
@@ -40,7 +40,7 @@ def show(text: SafeText, *, raw: bool = False) -> None:
 
 
 def has_keys() -> bool:
-    """Tell whether someone sits at a terminal: keys come from it, and a screen is on it."""
+    """Return whether stdin and stdout are a terminal, for keys and for a screen."""
     streams = (sys.stdin, sys.stdout)
     return all(stream is not None and stream.isatty() for stream in streams)
 
@@ -48,12 +48,12 @@ def has_keys() -> bool:
 def pause(seconds: float) -> None:
     """Wait this long. Raises: OutputClosed as soon as the reader of stdout has closed it."""
     try:
-        look = select.poll()
-        look.register(sys.stdout.fileno(), 0)  # no event but that the other end has gone
+        poller = select.poll()
+        poller.register(sys.stdout.fileno(), 0)  # no event except that the other end has closed
     except (OSError, ValueError):
         time.sleep(seconds)
         return
-    if look.poll(seconds * 1_000):
+    if poller.poll(seconds * 1_000):
         raise OutputClosed
 
 
@@ -93,7 +93,7 @@ def _write(stream: TextIO | None, text: str) -> None:
 
 
 def width_of_output() -> int | None:
-    """Return the columns of the terminal that stdout is; None if it is none, or too narrow to lay out anything."""
+    """Return the columns of the terminal at stdout; None if it is not one, or too narrow for any layout."""
     return None if sys.stdout is None else _width_of(sys.stdout)
 
 
@@ -132,13 +132,13 @@ def folded(line: str, width: int) -> str:
     """
     if len(line) <= width and line.isascii():
         return line
-    parts, at, used, blank = [], 0, 0, 0
-    for place, columns in enumerate(map(columns_of, line)):
+    parts, start, used, blank = [], 0, 0, 0
+    for index, columns in enumerate(map(columns_of, line)):
         if used + columns > width:
-            end = blank if blank > at else place
-            parts.append(line[at:end])
-            at, used = end, len(ON) + sum(map(columns_of, line[end:place]))
+            end = blank if blank > start else index
+            parts.append(line[start:end])
+            start, used = end, len(ON) + sum(map(columns_of, line[end:index]))
         used += columns
-        if line[place] == " " and used > width // 2:
-            blank = place + 1
-    return f"\n{ON}".join([*parts, line[at:]])
+        if line[index] == " " and used > width // 2:
+            blank = index + 1
+    return f"\n{ON}".join([*parts, line[start:]])

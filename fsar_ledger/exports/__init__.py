@@ -1,6 +1,6 @@
-"""A ledger in the formats of other systems, by kind of file: what `export --as` writes, and what the formats share.
+"""A ledger in the formats of other systems, as `export --as` writes them, and what the formats share.
 
-Here are those that are folders: the rows as a Delta table (delta.io), and the hashes of the tree as C2SP tlog-tiles.
+This module has the folders: the rows as a Delta table (delta.io), and the hashes of the tree as C2SP tlog-tiles.
 
 An event names robots and other principals, tasks, actions and requests, each in its role. Which columns name a
 principal follows from the types of the events' fields; the others are listed.
@@ -30,7 +30,7 @@ from fsar_ledger.ledger.store.shards import log_of, views_of
 
 
 class ExportedFile(NamedTuple):
-    """The number of events in a file, and what else is to be told about it, a line each."""
+    """The number of events in a file, and notes about it, a line each."""
 
     events: int
     notes: tuple[str, ...]
@@ -38,10 +38,10 @@ class ExportedFile(NamedTuple):
 
 def elements(documents: Iterable[object]) -> Iterator[bytes]:
     """Yield each document as an element of a JSON array, on a line of its own, without the brackets."""
-    between = b"\n"
-    for one in documents:
-        yield between + msgspec.json.encode(one)
-        between = b",\n"
+    separator = b"\n"
+    for document in documents:
+        yield separator + msgspec.json.encode(document)
+        separator = b",\n"
 
 
 LATEST_YEAR = 9000
@@ -52,20 +52,20 @@ TOLD = "times count from 1970-01-01T00:00:00Z in runs whose first event names no
 def epoch_us(run: str, epoch: str | None) -> int:
     """Return run time 0 in microseconds since 1970, from the epoch that event 0 of a run names; 0 if it names none.
 
-    Raises: UsageError if that is no time in ISO 8601 between 1970 and `LATEST_YEAR`.
+    Raises: UsageError if that is not a time in ISO 8601 between 1970 and `LATEST_YEAR`.
     """
     if epoch is None:
         return 0
     try:
-        found = utc.parsed(epoch)
-        if not utc.EPOCH <= found <= datetime(LATEST_YEAR, 1, 1, tzinfo=UTC):
+        time = utc.parsed(epoch)
+        if not utc.EPOCH <= time <= datetime(LATEST_YEAR, 1, 1, tzinfo=UTC):
             raise ValueError("too early or too late")
     except ValueError as error:
         raise UsageError(
             f"run {printable.value(run)}: found the epoch {printable.value(epoch)}, expected a time in ISO 8601 "
             f"between 1970 and {LATEST_YEAR}; name another run"
         ) from error
-    return utc.microseconds(found)
+    return utc.microseconds(time)
 
 
 def rfc3339(time_us: int) -> str:
@@ -76,7 +76,7 @@ def rfc3339(time_us: int) -> str:
 PRINCIPALS = ("robot", "supervisor", "service", "agent", "coordinator")
 """The kinds of principals; a name says its kind before the first slash."""
 OTHER = "principal"
-"""The kind of a principal whose name, which another system recorded, says none of these."""
+"""The kind of a principal whose name, recorded by another system, begins with none of these."""
 
 _COLUMNS = {
     "task_id": "task",
@@ -86,7 +86,7 @@ _COLUMNS = {
     "parent": "action",
     "request_id": "request",
 }
-"""By column, the kind of what it names, if that is no principal."""
+"""The kind of what each column names, if that is not a principal."""
 _ROLES = {
     "requested_by": "requester",
     "executed_by": "executor",
@@ -96,7 +96,7 @@ _ROLES = {
     "action_id": "action",
     "request_id": "request",
 }
-"""By column, the role of what it names, if that is not the name of the column."""
+"""The role of what each column names, if that is not the name of the column."""
 _PRINCIPAL_TYPES = {Robot, Supervisor, Service, Agent, Coordinator}
 
 
@@ -114,7 +114,7 @@ def named_in(columns: Mapping[str, Any]) -> dict[Named, str]:
         if column in NAMING and value is not None:
             for name in (value,) if isinstance(value, str) else value:
                 roles.setdefault(_named(column, name), []).append(NAMING[column])
-    return {one: ", ".join(dict.fromkeys(found)) for one, found in roles.items()}
+    return {named: ", ".join(dict.fromkeys(names)) for named, names in roles.items()}
 
 
 def _named(column: str, name: str) -> Named:
@@ -142,7 +142,7 @@ _PRINCIPAL_COLUMNS = {name for kind in EVENT_TYPES for name, hint in _hints(kind
 NAMING: Mapping[str, str] = {
     column: _ROLES.get(column, column.replace("_", " ")) for column in sorted(_PRINCIPAL_COLUMNS | _COLUMNS.keys())
 }
-"""By column that names something, the role of that."""
+"""The role of what each column names, of the columns that name something."""
 
 
 _DELTA, _TILES = "writing a Delta table", "writing tiles"
@@ -157,7 +157,7 @@ def _require_free(out: Path) -> None:
 
 @contextmanager
 def _whole_folder(out: Path, doing: str) -> Iterator[Path]:
-    """Yield a new folder, which comes to this path once it is complete; else nothing is left. Raises: WriteFailed."""
+    """Yield a new folder, which is moved to this path once complete; else nothing is left. Raises: WriteFailed."""
     work = disk.temporary_name(out)
     try:
         with disk.refusals(out, doing):
@@ -173,8 +173,8 @@ def _whole_folder(out: Path, doing: str) -> Iterator[Path]:
 def write_delta(out: Path, view: View) -> ExportedFile:
     """Write a new folder with the segments of the ledger, one more of the rows of its journal, and `_delta_log`.
 
-    The files of the table are the ledger's own segments, linked and not copied. Its log lies beside its files, and the
-    folder of a ledger holds nothing but its own, so the table is a folder of its own. Segments never change, and
+    The files of the table are the ledger's own segments, linked and not copied. Its log lies beside its files, and a
+    ledger's folder holds only the ledger's files, so the table is a folder of its own. Segments never change, and
     removing a link leaves the other, so neither harms the other.
 
     Raises:
@@ -189,10 +189,10 @@ def write_delta(out: Path, view: View) -> ExportedFile:
     with _whole_folder(out, _DELTA) as work:
         linked = sum(_put_segment(view, number, work, out) for number in range(len(view.releases)))
         _make_log(work, out, view.head.root)
-    placed = sum(len(one.chain.placed) for one in views_of(view))
-    journal = sum(one.head.size - one.chain.placed_size for one in views_of(view))
-    told = f"{linked:,} segments are hard links into the ledger, {placed - linked:,} are copies"
-    return ExportedFile(view.head.events, (told, f"{journal:,} events of the journal are in a file of their own"))
+    placed = sum(len(shard.chain.placed) for shard in views_of(view))
+    journal = sum(shard.head.size - shard.chain.placed_size for shard in views_of(view))
+    summary = f"{linked:,} segments are hard links into the ledger, {placed - linked:,} are copies"
+    return ExportedFile(view.head.events, (summary, f"{journal:,} events of the journal are in a file of their own"))
 
 
 def _put_segment(view: View, number: int, work: Path, out: Path) -> bool:
@@ -205,7 +205,7 @@ def _put_segment(view: View, number: int, work: Path, out: Path) -> bool:
         except OSError:  # another file system, or one without links
             shutil.copyfile(segment, file)
             return False
-    return any(segment.is_relative_to(one.path) for one in views_of(view))
+    return any(segment.is_relative_to(shard.path) for shard in views_of(view))
 
 
 def _make_log(work: Path, out: Path, root: str) -> None:
@@ -237,8 +237,8 @@ def write_tiles(view: View, out: Path, progress: Progress | None) -> int:
     with _whole_folder(out, _TILES) as work:
         count, edge = 0, Edge()
         for done, table in enumerate(view.tables(), start=1):
-            edge, made = edge.extend(canonical.leaves(table))
-            count += _write_files(work, out, {tile: data for tile, data in made.items() if tile.width == WIDTH})
+            edge, tiles = edge.extend(canonical.leaves(table))
+            count += _write_files(work, out, {tile: data for tile, data in tiles.items() if tile.width == WIDTH})
             if progress is not None:
                 progress(done, len(view.releases))
         if edge.frontier().root().hex() != view.head.root:

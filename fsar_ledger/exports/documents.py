@@ -4,12 +4,12 @@ In a log of OCEL, for process mining, an event that names an object is an event;
 with its role as the qualifier of the relation. All names begin with the number of the run, since robots of two runs are
 not the same. The rest of an event's fields are its attributes: lists as JSON text, times in microseconds of run time.
 
-In OTLP, for whatever shows spans, a run is one trace, because what its tasks share (windows, outages, the order of
+In OTLP, for programs that show spans, a run is one trace, because what its tasks share (windows, outages, the order of
 supervisors) would be lost in traces of tasks alone. Its root span has a child for each task, which has one for each
-action. An event is a span event of its action, else of its task, else of the run, with all of its fields; a cause that
-lies in another span is a link, too. Attributes have the names of OpenTelemetry's conventions for generative AI where
-these fit: a robot is an agent, a task its invocation, an action the execution of a tool, which is the capability. An
-action of which no execution is on record, such as one that was denied, is `request_tool`, a name of our own.
+action. An event is a span event of its action, else of its task, else of the run, with all of its fields; a cause in
+another span is a link, too. Attributes have the names of OpenTelemetry's conventions for generative AI where these
+fit: a robot is an agent, a task its invocation, an action the execution of a tool, which is the capability. An action
+without an execution on record, such as one that was denied, is `request_tool`, a name of our own.
 """
 
 import shutil
@@ -46,7 +46,7 @@ EXECUTED = frozenset({"ExecutionStarted", "ExecutionPaused", "ExecutionResumed",
 
 
 class _Ocel:
-    """What was found in the runs so far: counts, types of events with the types of their attributes, of objects."""
+    """The contents of the runs so far: counts, types of events with those of their attributes, types of objects."""
 
     def __init__(self, numbers: Mapping[str, int]) -> None:
         self.events = self.left_out = self.observations = self.objects = 0
@@ -66,7 +66,7 @@ class _Ocel:
                 self.observations += isinstance(event, Observed)
                 continue
             self.events += 1
-            objects.update({one.label: one.kind for one in named})
+            objects.update({item.label: item.kind for item in named})
             kind = type(event).__name__
             envelope = {"run_id": run.run_id, "seq": seq, "caused_by": run.caused_by[seq]}
             yield {
@@ -75,7 +75,7 @@ class _Ocel:
                 "time": rfc3339(start_us + time_us),
                 "attributes": list(self._attributes(kind, envelope | columns)),
                 "relationships": [
-                    {"objectId": f"{number}:{one.label}", "qualifier": role} for one, role in named.items()
+                    {"objectId": f"{number}:{item.label}", "qualifier": role} for item, role in named.items()
                 ],
             }
 
@@ -92,14 +92,14 @@ class _Ocel:
         types = self.event_types.setdefault(kind, {})
         for name, value in columns.items():
             if value is None or (name in NAMING and not isinstance(value, tuple)):
-                continue  # the relations have the names, but of a list neither that it is empty nor its order
+                continue  # the relations have the names, but not the order of a list, nor that it is empty
             if isinstance(value, tuple):
                 value = msgspec.json.encode(value).decode()
             types[name] = "boolean" if isinstance(value, bool) else "integer" if isinstance(value, int) else "string"
             yield {"name": name, "value": value}
 
     def types(self) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-        """Return the types of the events and of the objects, as the format has them."""
+        """Return the types of the events and of the objects, in the format's form."""
         return (
             [
                 {"name": kind, "attributes": [{"name": name, "type": one} for name, one in sorted(types.items())]}
@@ -115,20 +115,20 @@ def write_ocel(out: Path, runs: Iterable[LedgerRun], numbers: Mapping[str, int])
     Raises: OSError, or UsageError as `epoch_us`.
     """
     log = _Ocel(numbers)
-    with out.open("wb") as file, TemporaryFile() as kept:  # the objects, which come after all events
+    with out.open("wb") as file, TemporaryFile() as buffer:  # the objects, which come after all events
 
         def events() -> Iterator[dict[str, Any]]:
             for run in runs:
                 objects: dict[str, str] = {}
                 yield from log.events_of(run, objects)
-                between = b",\n" if kept.tell() else b""
-                kept.write(between + b"".join(elements(log.objects_of(run, objects))) if objects else b"")
+                separator = b",\n" if buffer.tell() else b""
+                buffer.write(separator + b"".join(elements(log.objects_of(run, objects))) if objects else b"")
 
         file.write(b'{"events":[')
         file.writelines(elements(events()))
         file.write(b'],\n"objects":[')
-        kept.seek(0)
-        shutil.copyfileobj(kept, file)
+        buffer.seek(0)
+        shutil.copyfileobj(buffer, file)
         event_types, object_types = map(msgspec.json.encode, log.types())
         file.write(b'],\n"eventTypes":' + event_types + b',\n"objectTypes":' + object_types + b"}\n")
     left_out = f"{log.left_out:,} events name no object and are not in it"
@@ -138,7 +138,7 @@ def write_ocel(out: Path, runs: Iterable[LedgerRun], numbers: Mapping[str, int])
 
 
 class _Key(NamedTuple):
-    """What a span is about: a run (whose `name` is empty), a task or an action."""
+    """The subject of a span: a run (whose `name` is empty), a task or an action."""
 
     kind: str
     name: str
@@ -148,9 +148,9 @@ _RUN = _Key("run", "")
 
 
 class _Span(msgspec.Struct):
-    """What is known of a span so far: places of its first and last event, what ended it, and its own events.
+    """A span so far: the seqs of its first and last event, what ended it, and its own events.
 
-    `about` has what the first event says that says it at all.
+    `about` has the first value on record of each field.
     """
 
     parent: _Key | None
@@ -164,7 +164,7 @@ class _Span(msgspec.Struct):
 
 
 class _Traces(msgspec.Struct):
-    """What was written: spans, those that nothing ended, span events, links."""
+    """Counts of what was written: spans, those that nothing ended, span events, links."""
 
     spans: int = 0
     open: int = 0
@@ -192,7 +192,7 @@ def write_otlp(out: Path, runs: Iterable[LedgerRun]) -> ExportedFile:
 
 
 def _resource(run: LedgerRun, counts: _Traces) -> dict[str, Any]:
-    """Return the spans of a run, under a resource that says which run it is."""
+    """Return the spans of a run, under a resource that identifies the run."""
     name = next((event.continues for event in run.events if isinstance(event, RunContinued)), run.run_id)
     trace = sha256(name.encode() + b"\0" + msgspec.json.encode(run.events[0])).hexdigest()[:32]
     about = {f"fsar.{name}": value for name, value in flat(run.events[0]).items() if name != "observes"}
@@ -218,15 +218,15 @@ def _grouped(run: LedgerRun) -> tuple[dict[_Key, _Span], list[_Key]]:
                 _follow(spans[key], event, columns, seq)
         spans[_RUN].last = seq
         spans[key].own.append(seq)
-        if (ends := type(event).__name__) in ENDS:
-            # How an execution has ended is not undone by a request that is closed otherwise, as of one who has left.
-            if (spans[key].ended_by, ends) != ("ExecutionFinished", "RequestClosed"):
+        if (ending := type(event).__name__) in ENDS:
+            # The end of an execution is not undone by a request that is closed otherwise, as of a robot that left.
+            if (spans[key].ended_by, ending) != ("ExecutionFinished", "RequestClosed"):
                 result = columns.get("result")
-                # One that was withdrawn because of a failure has failed; how any other would have ended, nobody knows.
-                is_failed = ends == "ExecutionWithdrawn" and columns["failure"] is not None
-                of_type = "ExecutionFailed" if is_failed else ends
-                spans[key].failure = of_type if ends in FAILURES else result if result == "failure" else None
-            spans[key].ended_by = ends
+                # One that was withdrawn because of a failure has failed; how others would have ended is unknown.
+                is_failed = ending == "ExecutionWithdrawn" and columns["failure"] is not None
+                failure_type = "ExecutionFailed" if is_failed else ending
+                spans[key].failure = failure_type if ending in FAILURES else result if result == "failure" else None
+            spans[key].ended_by = ending
         keys.append(key)
     return spans, keys
 
@@ -250,7 +250,7 @@ def _spans(run: LedgerRun, trace: str, counts: _Traces) -> Iterator[dict[str, An
         is_open = span.ended_by is None and key != _RUN
         causes = [(seq, cause) for seq in span.own if (cause := run.caused_by[seq]) is not None and keys[cause] != key]
         name, about = _named(run, key, span)
-        found = {
+        document = {
             "traceId": trace,
             "spanId": ids[key],
             "name": name,
@@ -269,18 +269,18 @@ def _spans(run: LedgerRun, trace: str, counts: _Traces) -> Iterator[dict[str, An
             ],
         }
         if span.parent is not None:
-            found["parentSpanId"] = ids[span.parent]
+            document["parentSpanId"] = ids[span.parent]
         if span.failure is not None:
-            found["status"] = {"code": ERROR, "message": span.failure}
+            document["status"] = {"code": ERROR, "message": span.failure}
         counts.spans += 1
         counts.open += is_open
         counts.events += len(span.own)
         counts.links += len(causes)
-        yield found
+        yield document
 
 
 def _named(run: LedgerRun, key: _Key, span: _Span) -> tuple[str, dict[str, Any]]:
-    """Return the name of a span, and its attributes by the conventions and by what the events say."""
+    """Return the name of a span, and its attributes by the conventions and from the events."""
     about: dict[str, Any] = {"gen_ai.conversation.id": run.run_id}
     if key.kind == "run":
         workflow = getattr(run.events[0], "scenario", None)
@@ -291,7 +291,7 @@ def _named(run: LedgerRun, key: _Key, span: _Span) -> tuple[str, dict[str, Any]]
         about |= {"gen_ai.agent.name": name, "fsar.task_id": key.name}
     else:
         name, operation = span.about.get("capability"), "execute_tool" if span.is_executed else "request_tool"
-        agent = next((span.about[one] for one in ("executor", "executed_by", "robot") if one in span.about), None)
+        agent = next((span.about[field] for field in ("executor", "executed_by", "robot") if field in span.about), None)
         about |= {"gen_ai.tool.name": name, "gen_ai.tool.call.id": key.name, "gen_ai.agent.name": agent}
         about |= {"fsar.action_id": key.name, "fsar.requested_by": span.about.get("requested_by")}
     about = {"gen_ai.operation.name": operation, **about, "error.type": span.failure}
@@ -305,7 +305,7 @@ def _event(run: LedgerRun, seq: int, time: str) -> dict[str, Any]:
 
 
 def _attributes(values: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the values that there are as OTLP has them: integers as text, since JSON readers may round them."""
+    """Return the values that are not None in OTLP's form: integers as text, since JSON readers may round them."""
     return [{"key": key, "value": _value(value)} for key, value in values.items() if value is not None]
 
 
@@ -315,5 +315,5 @@ def _value(value: Any) -> dict[str, Any]:
     if isinstance(value, int):
         return {"intValue": f"{value}"}
     if isinstance(value, tuple):
-        return {"arrayValue": {"values": [_value(one) for one in value]}}
+        return {"arrayValue": {"values": [_value(item) for item in value]}}
     return {"stringValue": value}

@@ -25,7 +25,7 @@ EVENTS = "/fsar/events"
 INFO, WARNING = 2, 3
 """Levels of a log message, as `foxglove.Log` numbers them."""
 WARNED = ("Abandoned", "Declined", "Denied", "Failed", "Rejected", "Unanswered", "Undelivered", "Voided", "Withdrawn")
-"""How the names of the types end whose messages are warnings."""
+"""The endings of the names of types whose messages are warnings."""
 _TIME = {"type": "object", "title": "time", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 LOG = {
     "title": "foxglove.Log",
@@ -48,7 +48,7 @@ _ENVELOPE = {field.name for field in ENVELOPE}
 
 
 def write(out: Path, view: View, tables: Iterable[pa.Table]) -> ExportedFile:
-    """Write the rows of these tables of a ledger to this path, then its checkpoint and what it is.
+    """Write the rows of these tables of a ledger to this path, then its checkpoint and metadata.
 
     Memory holds one table. Raises: OSError, UsageError as `epoch_us`, ImportError without the library `mcap`.
     """
@@ -57,24 +57,24 @@ def write(out: Path, view: View, tables: Iterable[pa.Table]) -> ExportedFile:
     with out.open("wb") as file:
         writer = Writer(file)
         writer.start(profile="", library="fsar-ledger")
-        written = _Messages(writer)
+        messages = _Messages(writer)
         for table in tables:
-            places = counted_rows(view, table.select(["run_id", "seq"])).to_pylist()
-            for line, place in zip(canonical.from_table(table.combine_chunks()), places, strict=True):
-                written.add(line, place["run_id"], place["seq"])
+            positions = counted_rows(view, table.select(["run_id", "seq"])).to_pylist()
+            for line, position in zip(canonical.from_table(table.combine_chunks()), positions, strict=True):
+                messages.add(line, position["run_id"], position["seq"])
         note = view.note()
         if note is not None:
             writer.add_attachment(0, 0, "checkpoint", "text/plain", str(note).encode())
         about = {"root": view.head.root, "size": f"{view.head.size}", "origin": view.manifest.origin}
-        runs = msgspec.json.encode([run for run in view.run_names.runs if run in written.epochs_us]).decode()
+        runs = msgspec.json.encode([run for run in view.run_names.runs if run in messages.epochs_us]).decode()
         writer.add_metadata("fsar_ledger", {**about, "runs": runs})
         writer.finish()
-    told = f"{written.logs:,} log messages in {len(written.channels):,} channels of principals"
-    return ExportedFile(written.events, (f"{told}; {written.unnamed:,} events name none", TOLD))
+    summary = f"{messages.logs:,} log messages in {len(messages.channels):,} channels of principals"
+    return ExportedFile(messages.events, (f"{summary}; {messages.unnamed:,} events name none", TOLD))
 
 
 class _Messages:
-    """The channels so far, and how many events and messages are in them; run time 0 of each run by its name."""
+    """The channels written so far, with the counts of events and messages, and run time 0 of each run by name."""
 
     def __init__(self, writer: "Writer") -> None:
         self.channels: dict[str, int] = {}
@@ -108,7 +108,7 @@ class _Messages:
             "file": whole,
             "line": seq,
         }
-        names = [one.label for one in named_in(fields) if one.kind in (*PRINCIPALS, OTHER)]
+        names = [named.label for named in named_in(fields) if named.kind in (*PRINCIPALS, OTHER)]
         self.unnamed += not names
         self.logs += len(names)
         for name in names:

@@ -1,8 +1,8 @@
 """The service of a live federation: robots, people and programs give it commands over HTTP, and follow its events.
 
-Here is who may speak to it: a file of principals, each with the hash of a token that it alone knows. A token is 256
-random bits, so its SHA-256 tells nobody anything, and no slower hash is needed. It has a public part by which its line
-is found, and a secret that is compared in constant time.
+This module authenticates them by a file of principals, each with the hash of a token that it alone has. A token is 256
+random bits, so its SHA-256 reveals nothing, and no slower hash is needed. Its public part finds its line, and its
+secret part is compared in constant time.
 """
 
 import hashlib
@@ -36,7 +36,7 @@ class Principal(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def kind(self) -> str:
-        """Return whether it is a robot, a supervisor, a service or an auditor."""
+        """Return its kind: robot, supervisor, service or auditor."""
         return self.principal.partition("/")[0]
 
 
@@ -82,16 +82,16 @@ class Principals:
         return len(self._by_id)
 
     def known(self, authorization: str) -> Principal | None:
-        """Return whose token this header has (`Bearer fsar.ID.SECRET`), or None if it is nobody's."""
+        """Return the principal whose token this header has (`Bearer fsar.ID.SECRET`), or None."""
         if (now := self._state()) != self._seen:
             self._by_id, self._seen = _read(self._path), now
         scheme, _, token = authorization.partition(" ")
         parts = token.strip().split(".")
         is_formed = scheme.lower() == "bearer" and len(parts) == 3 and parts[0] == "fsar"
-        found = self._by_id.get(parts[1]) if is_formed else None
+        principal = self._by_id.get(parts[1]) if is_formed else None
         digest = hashlib.sha256(parts[-1].encode(errors="surrogateescape")).hexdigest()
-        is_right = hmac.compare_digest(digest, found.sha256 if found is not None else _DUMMY)
-        return found if is_right else None
+        is_valid = hmac.compare_digest(digest, principal.sha256 if principal is not None else _DUMMY)
+        return principal if is_valid else None
 
     def _state(self) -> tuple[int, ...]:
         """Return what is another one after any change: a copy may keep the time at which the file was written last."""
@@ -110,11 +110,11 @@ def _read(path: Path) -> dict[str, Principal]:
         raise UsageError(
             f"{value(str(path))}: {error.strerror}, expected a file that `fsar-ledger principal new` made"
         ) from error
-    found: dict[str, Principal] = {}
+    principals: dict[str, Principal] = {}
     for number, line in enumerate(lines, start=1):
         try:
-            one = msgspec.json.decode(line, type=Principal)
+            principal = msgspec.json.decode(line, type=Principal)
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
             raise UsageError(f"{value(str(path))}:{number}: {error}; expected a principal in a line of JSON") from error
-        found[one.token_id] = one
-    return found
+        principals[principal.token_id] = principal
+    return principals

@@ -1,7 +1,7 @@
 """The client of a service, for a robot's own program: needs nothing but Python and msgspec.
 
 Every command gets a key, so one whose answer was lost on the way is sent again and decided once. Events are followed
-from a position, and after a break from the last one that came.
+from a position, and after a disconnect from the last one received.
 """
 
 import http.client
@@ -17,13 +17,13 @@ import msgspec
 from fsar_ledger.base.errors import FsarLedgerError, UsageError
 
 TRANSIENT = (429, 503)
-"""What passes: too much at once, or a disk without room."""
+"""Transient errors: too many commands at once, or a full disk."""
 PAUSE_S = 0.2
-"""The first wait before something is tried again; each is twice as long as the one before, up to some seconds."""
+"""The first wait before a retry, in seconds; each further one is twice as long, up to 5."""
 
 
 class Refused(FsarLedgerError):
-    """The service did not take a command; nothing of it is on record. `status` is that of HTTP."""
+    """The service refused a command; nothing of it is on record. `status` is that of HTTP."""
 
     def __init__(self, status: int, text: str) -> None:
         super().__init__(text)
@@ -31,7 +31,7 @@ class Refused(FsarLedgerError):
 
 
 class Answered(msgspec.Struct, frozen=True):
-    """What became of a command: the seq of its record, why it was rejected, its events, and what followed at once.
+    """The outcome of a command: the seq of its record, why it was rejected, its events, and what followed at once.
 
     An event is a dictionary with its `type` and its columns.
     """
@@ -55,11 +55,11 @@ class Client:
     """A principal's connection to a service. Use it as a context manager, or call `close`; one for each thread.
 
     Args:
-        url: Where it is, as `fsar-ledger serve` prints it.
-        token: What `fsar-ledger principal new` printed.
-        patience_s: How long what passes (a break of the line, a full disk) is tried again.
-        tls: For https: whom to trust, if not whom the system trusts.
-        pause: Waits so many seconds.
+        url: Its address, as `fsar-ledger serve` prints it.
+        token: The token that `fsar-ledger principal new` printed.
+        patience_s: How long transient errors (a lost connection, a full disk) are retried.
+        tls: For https: the certificates to trust, if not those of the system.
+        pause: Waits this many seconds.
     """
 
     def __init__(
@@ -79,13 +79,13 @@ class Client:
         self._line: http.client.HTTPConnection | None = None
 
     def give(self, command: str, *, key: str | None = None, **fields: object) -> Answered:
-        """Give the command (`ReportStart`) with these fields, and return what became of it, which is on disk.
+        """Give the command (`ReportStart`) with these fields, and return its outcome, which is on disk.
 
-        `key`: names it, so that the same one can be given again even by another process; None: a new name.
+        `key` identifies it, so that the same one can be given again even by another process; None: a new key.
 
         Raises:
             UsageError: The key has characters that no header can hold, or a field has a value that JSON cannot.
-            Refused: It is no command, not this principal's to give, or the service cannot take it in all that time.
+            Refused: It is not a command, not this principal's to give, or the service cannot take it in `patience_s`.
         """
         if key is not None and not (key.isprintable() and key.encode("latin-1", "replace").decode("latin-1") == key):
             raise UsageError(f"key {key!r:.200}: expected characters of Latin-1 that can be printed, as a header has")
@@ -98,29 +98,29 @@ class Client:
         return msgspec.json.decode(answer, type=Answered)
 
     def known(self) -> int:
-        """Return how many events the run has. Raises: Refused: The service is away, or its disk refuses."""
+        """Return how many events the run has. Raises: Refused: The service is unavailable, or its disk refuses."""
         return int(msgspec.json.decode(self._patiently("GET", "/health", None, {}))["events"])
 
     def events(
         self, after: int | None = None, *, robot: str | None = None, task: str | None = None, concern: str | None = None
     ) -> Iterator[FollowedEvent]:
-        """Yield the events after this seq (None: that are new), and wait for more.
+        """Yield the events after this seq (None: new ones only), and wait for more.
 
-        They can be those that name a robot, of a task, or of a concern. Each comes at least once, in order, and after a
-        break from where it was.
+        They can be limited to those that name a robot, of a task, or of a concern. Each is yielded at least once, in
+        order, and after a disconnect from the last position.
 
         Raises:
-            Refused: The service does not let this principal follow, or is away for longer than that.
+            Refused: The service does not let this principal follow, or is unavailable for longer than `patience_s`.
         """
-        wanted = {"robot": robot, "task": task, "concern": concern}
+        filters = {"robot": robot, "task": task, "concern": concern}
         pauses = self._pauses()
         while True:
-            line = self._connection()
+            connection = self._connection()
             try:
-                query = {"after": after, **wanted}
-                path = f"/events?{urlencode({name: one for name, one in query.items() if one is not None})}"
-                line.request("GET", path, headers=self._headers())
-                answer = line.getresponse()
+                query = {"after": after, **filters}
+                path = f"/events?{urlencode({name: value for name, value in query.items() if value is not None})}"
+                connection.request("GET", path, headers=self._headers())
+                answer = connection.getresponse()
                 if answer.status != 200 and answer.status not in TRANSIENT:
                     raise Refused(answer.status, _reason(answer.read()))
                 for name, value in _fields(answer) if answer.status == 200 else ():
@@ -135,13 +135,13 @@ class Client:
             except (OSError, http.client.HTTPException) as error:
                 reason = f"{error}"
             finally:
-                line.close()
+                connection.close()
             if (pause_s := next(pauses)) is None:
                 raise Refused(503, f"the service does not answer ({reason})")
             self._pause(pause_s)
 
     def close(self) -> None:
-        """Close the line; the next command opens another."""
+        """Close the connection; the next command opens another."""
         if self._line is not None:
             self._line.close()
             self._line = None
@@ -153,7 +153,7 @@ class Client:
         self.close()
 
     def _patiently(self, method: str, path: str, body: bytes | None, headers: dict[str, str]) -> bytes:
-        """Return the answer, asking again after what passes. Raises: Refused for any other, or in the end."""
+        """Return the answer, retrying transient errors. Raises: Refused for any other error, or in the end."""
         for pause_s in self._pauses():
             try:
                 status, answer = self._asked(method, path, body, headers)
@@ -184,7 +184,7 @@ class Client:
         return http.client.HTTPConnection(host, port, timeout=60)
 
     def _pauses(self) -> Iterator[float | None]:
-        """Yield how long to wait before each further try, then None."""
+        """Yield how long to wait before each retry, then None."""
         left, pause_s = self._patience_s, PAUSE_S
         while left > 0:
             yield min(pause_s, left)

@@ -1,7 +1,7 @@
-"""A fleet to look at: four robots and two supervisors, each a process of its own that has a token and the address.
+"""A demo fleet: four robots and two supervisors, each a process of its own that has a token and the address.
 
-A robot is a program that follows the events that name it and answers what it is asked, as a real one would. It keeps no
-state that it could not have again from its events.
+A robot is a program that follows the events that name it and answers requests, as a real one would. It keeps no state
+that it could not restore from its events.
 """
 
 import os
@@ -22,14 +22,14 @@ from . import add_principal
 from .client import Client, FollowedEvent
 
 HUMAN, OWN, HUB, TOKEN = "supervisor/fleet", "supervisor/C1", "service/demo", "FSAR_LEDGER_TOKEN"
-"""The fleet's supervisor, one of a single robot, and who brings the work."""
+"""The fleet's supervisor, one of a single robot, the service that brings the work, and the variable of the token."""
 
 
 class Story(msgspec.Struct, frozen=True):
-    """What goes wrong at a robot: the cause at its n-th execution (from 1), and whether it can help.
+    """The failures of a robot: the cause at its n-th execution (from 1), and whether it can help.
 
-    `attempts`: whether its own attempts to recover succeed; `helps`: whether it agrees to help; `off_at`: during this
-    execution it goes off, and comes back after a while; `leaves_at`: during this one it leaves the fleet, and returns.
+    `attempts`: whether its own attempts to recover succeed; `helps`: whether it agrees to help; `off_at`: the execution
+    during which it goes off for a while; `leaves_at`: the one during which it leaves the fleet, and returns.
     """
 
     fails_at: Mapping[int, str] = {}
@@ -48,7 +48,7 @@ STORIES: Mapping[str, Story] = {
 
 
 _PASSING = ("CommandGiven", "CommandRejected", "AuthorityClaimed", "AuthorityReleased")
-"""What says nothing of where an action stands."""
+"""The types of events that do not show the status of an action."""
 _JUDGED = ("RequestAdmitted", "RequestDenied", "RequestClosed")
 _MEMBER = ("role", "team", "supervisor", "domain", "place", "public_key")
 
@@ -59,8 +59,8 @@ class Robot:
     Args:
         client: Its connection to the service.
         name: Its principal.
-        story: What goes wrong.
-        pause: Waits so many steps.
+        story: Its failures.
+        pause: Waits this many steps.
     """
 
     def __init__(self, client: Client, name: str, story: Story, pause: Callable[[float], None]) -> None:
@@ -73,9 +73,9 @@ class Robot:
         self._is_away, self._fence = False, None
 
     def run(self, known: int) -> None:
-        """Answer until the service is gone; of the first so many events only what is still open.
+        """Answer events until the service is gone; of the first `known` events, only those that are still open.
 
-        Raises: Refused: The service is away, or does not know the robot.
+        Raises: Refused: The service is unavailable, or does not know the robot.
         """
         latest: dict[str, FollowedEvent] = {}
         events = self._client.events(after=-1)
@@ -100,21 +100,21 @@ class Robot:
             self.answer(event)
 
     def _learn(self, event: FollowedEvent) -> None:
-        """Keep what the event says of this robot itself, and of what it is asked."""
-        named, action = event.columns, f"{_action(event)}"
-        if event.type == "RequestIssued" and named.get("executed_by") == self._name:
+        """Keep what the event says of this robot, and of requests to it."""
+        columns, action = event.columns, f"{_action(event)}"
+        if event.type == "RequestIssued" and columns.get("executed_by") == self._name:
             self._asked.append(action)
         elif event.type in _JUDGED and action in self._asked:
             self._asked.remove(action)
-        elif event.type == "ExecutionWithdrawn" and named["robot"] == self._name:
+        elif event.type == "ExecutionWithdrawn" and columns["robot"] == self._name:
             self._withdrawn.add(action)
-        elif named.get("robot") == self._name and event.type in ("RobotJoined", "RobotDeparted", "RobotReturned"):
-            self._joined = self._joined or {name: named[name] for name in _MEMBER if name in named}
+        elif columns.get("robot") == self._name and event.type in ("RobotJoined", "RobotDeparted", "RobotReturned"):
+            self._joined = self._joined or {name: columns[name] for name in _MEMBER if name in columns}
             self._is_away = event.type == "RobotDeparted"
-            self._fence = named.get("fence")
+            self._fence = columns.get("fence")
 
     def _judge(self, *actions: str) -> None:
-        """Accept what is asked; what had to wait for another is asked again when that one is decided."""
+        """Accept these requests; one that has to wait for another is judged again when that one is decided."""
         for action in actions:
             self._say("JudgeRequest", action_id=action, accepts=True)
 
@@ -123,32 +123,32 @@ class Robot:
 
     def answer(self, event: FollowedEvent) -> None:
         """Answer one event."""
-        action, mine, named = _action(event), self._name, event.columns
+        action, name, columns = _action(event), self._name, event.columns
         if event.type == "RequestIssued" and action in self._asked:
             self._pause(1)
             self._judge(f"{action}")
-        elif event.type in _JUDGED or (event.type == "SupervisorResponded" and named["purpose"] == "ordering"):
+        elif event.type in _JUDGED or (event.type == "SupervisorResponded" and columns["purpose"] == "ordering"):
             self._judge(*self._asked)
-        elif _can_begin(event) and named.get("robot") == mine:
+        elif _can_begin(event) and columns.get("robot") == name:
             self._waiting.append(f"{action}")
             self._work()
-        elif event.type == "RecoveryAttempted" and named.get("robot") == mine:
+        elif event.type == "RecoveryAttempted" and columns.get("robot") == name:
             self._pause(1)
             self._say("ReportAttempt", action_id=action, succeeded=self._story.attempts)
-        elif event.type == "AssistanceRequested" and named.get("helper") == mine:
+        elif event.type == "AssistanceRequested" and columns.get("helper") == name:
             self._say("JudgeAssistance", action_id=action, accepts=self._story.helps)
-        elif event.type == "AssistanceAdmitted" and named.get("helper") == mine:
+        elif event.type == "AssistanceAdmitted" and columns.get("helper") == name:
             self._pause(1)
             self._say("ReportAssistance", action_id=action, succeeded=True)
-        elif event.type == "FailureResolved" and named.get("robot") == mine and action not in self._withdrawn:
+        elif event.type == "FailureResolved" and columns.get("robot") == name and action not in self._withdrawn:
             self._finish(f"{action}")
         elif event.type == "ExecutionWithdrawn" and action in self._waiting:
             self._waiting.remove(f"{action}")
-        elif event.type == "ExecutionFinished" and named.get("executed_by") == mine:
+        elif event.type == "ExecutionFinished" and columns.get("executed_by") == name:
             self._work()
 
     def _work(self) -> None:
-        """Begin what waits, if it is its turn."""
+        """Begin each waiting action whose turn it is."""
         for action in tuple(self._waiting):
             if self._say("ReportStart", action_id=action):
                 self._waiting.remove(action)
@@ -180,7 +180,7 @@ class Robot:
 
 
 def _can_begin(event: FollowedEvent) -> bool:
-    """Return whether a robot that is free can begin the action now."""
+    """Return whether a free robot can begin the action now."""
     return event.type == "ApproachStarted" or (event.type == "ExecutionQueued" and not event.columns["has_approach"])
 
 
@@ -190,26 +190,26 @@ def _action(event: FollowedEvent) -> str | None:
 
 
 def supervise(client: Client, name: str, after: float, pause: Callable[[float], None]) -> None:
-    """Answer each call to the supervisor after so many steps: approve, or let what is urgent go first.
+    """Answer each call to the supervisor after this many steps: approve, and let an urgent request go first.
 
     Raises: Refused: As `Robot.run`.
     """
     urgent: set[str] = set()
     for event in client.events(after=-1):
-        named = event.columns
-        if event.type == "TaskArrived" and named["is_time_critical"]:
-            urgent.add(named["task_id"])
-        if event.type == "SupervisorCalled" and named["supervisor"] == name:
+        columns = event.columns
+        if event.type == "TaskArrived" and columns["is_time_critical"]:
+            urgent.add(columns["task_id"])
+        if event.type == "SupervisorCalled" and columns["supervisor"] == name:
             pause(after)
-            other = named.get("competing")
+            other = columns.get("competing")
             preferred = other if other is not None and other.partition("/")[0] in urgent else None
             client.give(
-                "RespondToCall", supervisor=name, action_id=named["action_id"], approves=True, preferred=preferred
+                "RespondToCall", supervisor=name, action_id=columns["action_id"], approves=True, preferred=preferred
             )
 
 
 class TaskOf(NamedTuple):
-    """A task of a story: whose it is, its steps, and whether it is time-critical."""
+    """A task of a story: its robot, its steps, and whether it is time-critical."""
 
     robot: str
     steps: Sequence[str]
@@ -227,26 +227,26 @@ TASKS: Sequence[tuple[str, Sequence[TaskOf]]] = (
     ("a failure for the robot's own supervisor", [TaskOf("robot/C1", ("C navigate.indoor",))]),
     ("a robot that leaves, and returns", [TaskOf("robot/A1", ("A carry.heavy D",))]),
 )
-"""The stories of the demo: what is told, and its tasks."""
+"""The stories of the demo: the title and the tasks of each."""
 REVIEWED = "robot/D1"
-"""The robot whose every admission the fleet's supervisor wants to see."""
+"""The robot whose every admission the fleet's supervisor reviews."""
 
 
 def play(hub: Client, number: int, budget_s: float) -> Iterator[str]:
-    """Bring the tasks of the story with this number, and yield how each ends."""
+    """Submit the tasks of the story with this number, and yield how each ends."""
     open_tasks: dict[str, int] = {}
-    for place, one in enumerate(TASKS[number][1], start=1):
-        task = f"story{number + 1}-{place}"
-        given = hub.give(
+    for index, spec in enumerate(TASKS[number][1], start=1):
+        task = f"story{number + 1}-{index}"
+        decision = hub.give(
             "SubmitTask",
             key=task,
-            robot=one.robot,
+            robot=spec.robot,
             task_id=task,
-            steps=one.steps,
+            steps=spec.steps,
             budget_us=round(budget_s * 1e6),
-            is_time_critical=one.is_urgent,
+            is_time_critical=spec.is_urgent,
         )
-        open_tasks[task] = given.seq
+        open_tasks[task] = decision.seq
     for event in hub.events(after=min(open_tasks.values())):
         if event.type in ("TaskCompleted", "TaskAbandoned") and event.columns["task_id"] in open_tasks:
             del open_tasks[event.columns["task_id"]]
@@ -256,12 +256,12 @@ def play(hub: Client, number: int, budget_s: float) -> Iterator[str]:
 
 
 class Demo:
-    """A service and its robots, each a process, which is started again when it dies. Use it as a context manager.
+    """A service and its robots, each a process that is restarted when it dies. Use it as a context manager.
 
     Args:
-        ledger: The ledger; its principals stand beside it.
+        ledger: The ledger; the file of its principals lies beside it.
         by_hand: A person answers the calls to the fleet's supervisor, in the console.
-        step_s: How long anything takes.
+        step_s: How long each step takes.
     """
 
     def __init__(self, ledger: Path, by_hand: bool, step_s: float) -> None:
@@ -302,8 +302,18 @@ class Demo:
         if name == "service":
             port = self.url.rpartition(":")[2]
             principals = ("--principals", f"{self._principals}")
-            waits = f"structure.back_off_us={round(Structure().back_off_us * self._step_s)}"
-            command = (*python, "fsar_ledger", "serve", f"{self._ledger}", *principals, "--port", port, "--set", waits)
+            back_off = f"structure.back_off_us={round(Structure().back_off_us * self._step_s)}"
+            command = (
+                *python,
+                "fsar_ledger",
+                "serve",
+                f"{self._ledger}",
+                *principals,
+                "--port",
+                port,
+                "--set",
+                back_off,
+            )
         environment = {**os.environ, TOKEN: self.tokens.get(name, "")}
         quiet = subprocess.DEVNULL
         self.processes[name] = subprocess.Popen(
@@ -311,7 +321,7 @@ class Demo:
         )
 
     def _keep(self) -> None:
-        """Start again what has died, as whoever looks after robots does."""
+        """Restart processes that have died, as the operator of real robots would."""
         while not self._is_over.wait(0.2):
             for name, process in tuple(self.processes.items()):
                 if process.poll() is not None and not self._is_over.is_set():
@@ -319,7 +329,7 @@ class Demo:
 
 
 def main() -> None:
-    """Be the robot or the supervisor of this name at this service; the token is in the environment."""
+    """Run the robot or the supervisor of this name at this service; the token is in the environment."""
     name, url, step_s = sys.argv[1:]
 
     def pause(seconds: float) -> None:

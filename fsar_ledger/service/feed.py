@@ -1,8 +1,8 @@
-"""What a service does between its clients and the federation: one thread decides, and everybody follows the events.
+"""The layer of a service between its clients and the federation: one thread decides, and all clients follow the events.
 
-All commands that wait are decided in one write, so that many clients share a sync. The events come to the feed from
-the commit itself; what is no longer in its memory is read from the ledger. No connection is held without a limit, and
-who follows events and does not read is let go.
+All waiting commands are decided in one write, so that many clients share a sync. The feed gets the events from the
+commit itself; those no longer in its memory are read from the ledger. No connection is held without a limit, and a
+client that follows events and does not read is disconnected.
 """
 
 import asyncio
@@ -30,21 +30,21 @@ from fsar_ledger.runtime.federation import Federation, newest_of
 from fsar_ledger.runtime.live import Decision
 
 TICK_S = 0.05
-"""How often what is due by itself is decided while no command comes."""
+"""Seconds between decisions on what is due, such as timeouts, while no command arrives."""
 AT_ONCE = 256
 """The most commands in one write."""
 WAITING = 1_024
-"""The most commands that wait; who comes then is told to come again."""
+"""The most commands that wait; the senders of further ones are told to try again."""
 REOPEN_S = 2.0
-"""How long after a write that failed the federation is opened again."""
+"""Seconds after a failed write until the federation is opened again."""
 KEPT = 1 << 15
-"""So many of the newest events are in memory; older ones are read from the ledger."""
+"""How many of the newest events are in memory; older ones are read from the ledger."""
 
 MAX_HEADERS = 1 << 14
 HEADERS_S, WRITE_S = 10.0, 20.0
-"""How long a client may take for its headers, and to read."""
+"""Seconds that a client may take to send its headers, and to read."""
 ABORT = "fsar.abort"
-"""The extension of the scope by which a connection is ended at once."""
+"""The extension of the scope that ends a connection at once."""
 
 Put = Callable[[bytes], Coroutine[Any, Any, None]]
 Result = Decision | FsarLedgerError
@@ -52,11 +52,11 @@ _Asked = TypeVar("_Asked")
 
 
 class Busy(Exception):
-    """So many commands wait that this one was not taken."""
+    """Too many commands wait, so this one was not taken."""
 
 
 class Row(NamedTuple):
-    """An event: its seq, which counts on where the run was cut, and its bytes as the ledger hashes them, in JSON."""
+    """An event: its seq, which continues across cuts of the run, and its bytes as the ledger hashes them, in JSON."""
 
     seq: int
     data: bytes
@@ -71,7 +71,7 @@ _PLACE = msgspec.json.Decoder(_Place)
 
 
 class Feed:
-    """The events of a run from any place on. All methods but `recorded` are of the loop's thread.
+    """The events of a run from any position on. All methods but `recorded` are for the loop's thread.
 
     `end` is the seq after the newest event.
     """
@@ -80,13 +80,13 @@ class Feed:
         self._ledger, self._run = ledger, run
         self._kept: deque[Row] = deque(maxlen=KEPT)
         self._grown = asyncio.Event()
-        self._runs: list[str] = []  # that continue each other, when last looked for
+        self._runs: list[str] = []  # those that continue each other, as last found
         self.end = 0
 
     def publish(self, first: int, rows: bytes) -> None:
-        """Take over the rows of a commit, a line each, the first of which has this seq."""
+        """Add the rows of a commit, a line each, the first of which has this seq."""
         if first != self.end:
-            self._kept.clear()  # the federation was opened again, and what lies between is in the ledger
+            self._kept.clear()  # the federation was opened again, and the events between are in the ledger
         lines = rows.splitlines()
         self._kept.extend(Row(first + number, line) for number, line in enumerate(lines))
         self.end = first + len(lines)
@@ -94,7 +94,7 @@ class Feed:
         self._grown = asyncio.Event()
 
     async def rows_from(self, seq: int, timeout_s: float) -> Sequence[Row]:
-        """Return rows from this seq on, none if none comes in this time. Raises: LedgerCorrupted."""
+        """Return rows from this seq on, none if none arrives in this time. Raises: LedgerCorrupted."""
         if seq >= self.end:
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._grown.wait(), timeout_s)
@@ -102,13 +102,13 @@ class Feed:
                 return ()
         if self._kept and self._kept[0].seq <= seq:
             first = self._kept[0].seq
-            return [self._kept[at - first] for at in range(seq, min(self.end, seq + AT_ONCE))]
+            return [self._kept[index - first] for index in range(seq, min(self.end, seq + AT_ONCE))]
         return await asyncio.to_thread(self.recorded, seq)
 
     def recorded(self, seq: int) -> Sequence[Row]:
         """Return the rows from this seq to the end of a part of the ledger. Raises: LedgerCorrupted."""
         view = open_ledger(self._ledger)
-        if not (rows := _rows_in(view, self._runs, seq)):  # to look for the runs is to look for all
+        if not (rows := _rows_in(view, self._runs, seq)):  # finding the runs means searching all of them
             self._runs = chain_of(view, newest_of(view, self._run)[0])
             rows = _rows_in(view, self._runs, seq)
         return rows
@@ -116,22 +116,26 @@ class Feed:
 
 def _rows_in(view: View, runs: Sequence[str], seq: int) -> Sequence[Row]:
     """Return the rows from this seq to the end of a part of these runs; none if they end before."""
-    before = 0
+    offset = 0
     for run in runs:
         parts = view.parts(run)
         for part in parts:
-            if before + part.block.end > seq:
+            if offset + part.block.end > seq:
                 rows = ((_PLACE.decode(row), row) for row in view.rows(part.first, part.end))
-                own = ((before + at.seq, row) for at, row in rows if at.run_id == run and (at.seq or not before))
-                return [Row(at, row) for at, row in own if at >= seq]
-        before += event_count(parts) - 1
+                matching = (
+                    (offset + place.seq, row)
+                    for place, row in rows
+                    if place.run_id == run and (place.seq or not offset)
+                )
+                return [Row(number, row) for number, row in matching if number >= seq]
+        offset += event_count(parts) - 1
     return ()
 
 
 class Decider:
-    """A federation and the thread that decides what waits. Begin with `start`, end with `stop`.
+    """A federation and the thread that decides waiting commands. Begin with `start`, end with `stop`.
 
-    `opened` opens the federation, and again after a write that failed, so that a disk with room again is enough.
+    `opened` opens the federation, and again after a failed write, so that freeing disk space is enough.
     """
 
     def __init__(
@@ -150,15 +154,15 @@ class Decider:
         self._thread.start()
 
     def stop(self) -> None:
-        """Decide what waits, and close the ledger."""
+        """Decide the waiting commands, and close the ledger."""
         self._queue.put(None)
         self._thread.join()
 
     async def decide(self, command: CommandGiven) -> Decision:
-        """Return what became of the command, once it is on disk.
+        """Return the decision on the command, once it is on disk.
 
         Raises:
-            Busy: Too many wait.
+            Busy: Too many commands wait.
             UsageError: Its key was given with another command.
             WriteFailed: The disk refuses.
         """
@@ -173,7 +177,7 @@ class Decider:
         return result
 
     async def ask(self, question: Callable[[State, int], _Asked]) -> _Asked:
-        """Return the answer of `Federation.ask`. Raises: WriteFailed while there is none, since the disk refuses."""
+        """Return the answer of `Federation.ask`. Raises: WriteFailed while it is closed, since the disk refuses."""
         if (federation := self._federation) is None:
             raise WriteFailed(f"{self.failed}")
         return await asyncio.to_thread(federation.ask, question)
@@ -182,24 +186,24 @@ class Decider:
         self._loop.call_soon_threadsafe(self._feed.publish, first, rows)
 
     def _next(self, timeout_s: float) -> tuple[list[tuple[CommandGiven, asyncio.Future[Result]]], bool]:
-        """Return what waits, after at most this time; and whether that was the last."""
-        found = []
+        """Return the waiting commands, after at most this time, and whether these are the last."""
+        batch = []
         with suppress(Empty):
-            one = self._queue.get(timeout=timeout_s)
-            while one is not None:
-                found.append(one)
-                if len(found) == AT_ONCE:
-                    return found, False
-                one = self._queue.get_nowait()
-            return found, True
-        return found, False
+            item = self._queue.get(timeout=timeout_s)
+            while item is not None:
+                batch.append(item)
+                if len(batch) == AT_ONCE:
+                    return batch, False
+                item = self._queue.get_nowait()
+            return batch, True
+        return batch, False
 
     def _decide(self) -> None:
         is_last = False
         while not is_last:
             batch, is_last = self._next(TICK_S if self._federation is not None else REOPEN_S)
             results = self._results([command for command, _ in batch])
-            with suppress(RuntimeError):  # the loop has ended, and nobody waits
+            with suppress(RuntimeError):  # the loop has ended, and no client waits
                 self._loop.call_soon_threadsafe(self._answer, batch, results)
         if self._federation is not None:
             with suppress(WriteFailed):
@@ -214,7 +218,7 @@ class Decider:
                 self._federation.advance()
         except Exception as error:
             self._give_up()
-            if not isinstance(error, FsarLedgerError):  # a fault of ours must not leave anybody waiting
+            if not isinstance(error, FsarLedgerError):  # a bug of ours must not leave a client waiting
                 print_exc()
                 error = WriteFailed(f"the federation stopped ({type(error).__name__}), and is opened again")
             self.failed = error
@@ -225,7 +229,7 @@ class Decider:
         return decided
 
     def _give_up(self) -> None:
-        """Close the federation, which knows what is not on disk."""
+        """Close the federation, whose state has events that are not on disk."""
         if self._federation is not None:
             with suppress(FsarLedgerError):
                 self._federation.close()
@@ -234,14 +238,14 @@ class Decider:
     def _answer(self, batch: Sequence[tuple[CommandGiven, asyncio.Future[Result]]], results: Sequence[Result]) -> None:
         self.waiting -= len(batch)
         for (_, answer), result in zip(batch, results, strict=True):
-            if not answer.done():  # who waited may have gone
+            if not answer.done():  # the client may have gone
                 answer.set_result(result)
 
 
 class EventStream(Response):
-    """Server-sent events. Who does not read is let go, and comes again with the position that it knows.
+    """Server-sent events. A client that does not read is disconnected, and can resume from its last position.
 
-    `follow` puts what there is to be sent, until the service ends.
+    `follow` puts what is to be sent, until the service ends.
     """
 
     def __init__(self, first: int, follow: Callable[[Put], Coroutine[Any, Any, None]]) -> None:
@@ -250,7 +254,7 @@ class EventStream(Response):
         self._first, self._follow = first, follow
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send what there is until the client goes, the service ends, or nothing can be sent."""
+        """Send events until the client disconnects, the service ends, or nothing can be sent."""
 
         async def put(body: bytes) -> None:
             await asyncio.wait_for(send({"type": "http.response.body", "body": body, "more_body": True}), WRITE_S)
@@ -268,13 +272,13 @@ class EventStream(Response):
             task.cancel()
         results = await asyncio.gather(following, leaving, return_exceptions=True)
         if isinstance(results[0], TimeoutError):
-            scope["extensions"][ABORT]["call"]()  # a transport that is closed waits until all has been read
+            scope["extensions"][ABORT]["call"]()  # a closed transport waits until all has been read
         else:
             await send({"type": "http.response.body", "body": b""})
 
 
 class LimitedProtocol(HttpToolsProtocol):
-    """Lets go who does not end its headers, in time or at all."""
+    """An HTTP protocol that disconnects clients whose headers are too slow or too long."""
 
     def connection_made(self, transport: Any) -> None:
         """Begin to wait for headers."""
@@ -291,7 +295,7 @@ class LimitedProtocol(HttpToolsProtocol):
         self._deadline = self.loop.call_later(HEADERS_S, self.transport.abort)
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes; of headers, not too many."""
+        """Take bytes, at most `MAX_HEADERS` of headers."""
         super().data_received(data)
         if not self._deadline.cancelled():
             self._header_bytes += len(data)
@@ -299,11 +303,11 @@ class LimitedProtocol(HttpToolsProtocol):
                 self.transport.abort()
 
     def on_headers_complete(self) -> None:
-        """Wait for headers no more."""
+        """Stop waiting for headers."""
         self._deadline.cancel()
         super().on_headers_complete()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Wait for headers no more."""
+        """Stop waiting for headers."""
         self._deadline.cancel()
         super().connection_lost(exc)

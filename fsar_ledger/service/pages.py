@@ -1,6 +1,6 @@
-"""What the service shows: the console of a person who answers for a fleet, and the description of the interface.
+"""The pages of the service: the console of a person responsible for a fleet, and the description of the interface.
 
-The console has the calls that wait, and the robots (Paper: sec:model:supervision); its page is `console.html`, with its
+The console has the open calls and the robots (Paper: sec:model:supervision); its page is `console.html`, with its
 script and style beside it. The interface is described from the command types, as OpenAPI 3.1 and as a page.
 """
 
@@ -36,7 +36,7 @@ FILES = {
 
 
 class Reply(msgspec.Struct, frozen=True):
-    """What a person can say to a call, as the fields of `RespondToCall`."""
+    """A reply that a person can give to a call, as the fields of `RespondToCall`."""
 
     label: str
     approves: bool
@@ -46,8 +46,8 @@ class Reply(msgspec.Struct, frozen=True):
 class OpenCall(msgspec.Struct, frozen=True):
     """A call that waits for an answer.
 
-    `why`: under which rule it came; `known`: what is known about it, a sentence each; `otherwise`: what happens if
-    nobody answers. `ends_us`: run time at which the task is given up; None: it belongs to none.
+    `why`: the rule that caused it; `known`: what is known about it, a sentence each; `otherwise`: what happens without
+    an answer. `ends_us`: run time at which its task is given up; None: it has no task.
     """
 
     action_id: str
@@ -62,7 +62,7 @@ class OpenCall(msgspec.Struct, frozen=True):
 
 
 class RobotSeen(msgspec.Struct, frozen=True):
-    """A robot: whom it answers to, whether it is away, what it does or why not, and how many actions wait for it."""
+    """A robot: its supervisor, whether it is away, what it does or why not, and how many actions wait for it."""
 
     robot: str
     role: str
@@ -84,7 +84,7 @@ class Overview(msgspec.Struct, frozen=True):
 
 
 def overview(state: State, now_us: int, principal: str, run: str) -> Overview:
-    """Return what the principal may see: a supervisor the calls to it, everybody else all calls."""
+    """Return what the principal may see: of the calls, a supervisor only those to it."""
     calls = tuple(_calls(state, principal if principal.startswith("supervisor/") else None))
     return Overview(principal, run, now_us, calls, tuple(_robots(state)), tuple(state.task))
 
@@ -105,7 +105,7 @@ def _calls(state: State, supervisor: str | None) -> Iterator[OpenCall]:
 
 
 def _asked(state: State, call: SupervisorCalled) -> tuple[str, str, tuple[Reply, ...]]:
-    """Return what is asked, under which rule, and what can be said."""
+    """Return the question of the call, the rule that caused it, and the replies."""
     about = call.subject.action_id
     executor, capability, requester = _parties(state, about)
     if call.purpose == "review":
@@ -117,7 +117,7 @@ def _asked(state: State, call: SupervisorCalled) -> tuple[str, str, tuple[Reply,
         return title, "Recovery has reached its last level, a person.", (Reply("It is resolved", True),)
     other = call.competing or ""
     title = f"Two requests want {executor or 'the same robot'}: {about} and {other}. Which goes first?"
-    replies = tuple(Reply(f"{one} first", True, one) for one in (about, other) if one)
+    replies = tuple(Reply(f"{action} first", True, action) for action in (about, other) if action)
     why = "The fleet's supervisor orders requests for one robot when one of them is time-critical."
     return title, why, replies
 
@@ -132,7 +132,7 @@ def _parties(state: State, about: str) -> tuple[Robot | None, str, str | None]:
 
 
 def _rules(state: State, executor: Robot | None, capability: str, task: str) -> Iterator[str]:
-    """Yield each rule, window and density that puts this before a person."""
+    """Yield each rule, window and density that requires a review by a person."""
     if executor is None:
         return
     for rule in rules_in_force(state.policy):
@@ -152,10 +152,10 @@ def _known(state: State, call: SupervisorCalled) -> Iterator[str]:
     executor, _, requester = _parties(state, about)
     task = state.task.get(call.subject.task_id)
     other = state.request.open.get(call.competing or "")
-    for one in (task, None if other is None else state.task.get(other.task_id)):
-        if one is not None:
-            urgent = ", time-critical" if one.is_time_critical else ""
-            yield f"Task {one.task_id} of {one.robot}, step {one.step + 1} of {len(one.steps)}{urgent}."
+    for item in (task, None if other is None else state.task.get(other.task_id)):
+        if item is not None:
+            urgent = ", time-critical" if item.is_time_critical else ""
+            yield f"Task {item.task_id} of {item.robot}, step {item.step + 1} of {len(item.steps)}{urgent}."
     if executor is not None and requester is not None and requester in state.fleet.robots:
         trusted = scope_of(state.trust, executor, recorded_robot(requester), None, None)
         yield f"{executor} trusts {requester}: {trusted}."
@@ -179,7 +179,7 @@ def _robots(state: State) -> Iterator[RobotSeen]:
 
 
 def _away(state: State, robot: Robot) -> str | None:
-    """Return how the robot is away, if it is."""
+    """Return why the robot is away; None if it is not."""
     if (how := state.fleet.departed.get(robot)) is not None:
         return f"has left the fleet ({how})"
     if robot in state.knowledge.suspected:
@@ -206,7 +206,7 @@ _ERRORS = {
 
 
 def _fields(kind: type[PublicCommand]) -> type[msgspec.Struct]:
-    """Return a struct of what a command of this kind says, without what the run stamps."""
+    """Return a struct of the fields that a command of this kind gives, without those that the run stamps."""
     hints = get_type_hints(kind)
     defaults = {field.name: field for field in msgspec.structs.fields(kind)}
     fields: list[Any] = []
@@ -311,22 +311,22 @@ _EVENTS = {
 
 @cache
 def page(run: str) -> str:
-    """Return the interface as a page that needs nothing from elsewhere."""
-    kinds = "".join(f"<dt><code>{one}/</code><dd>{html.escape(text)}" for one, text in KINDS.items())
+    """Return the description of the interface as a self-contained page."""
+    kinds = "".join(f"<dt><code>{kind}/</code><dd>{html.escape(text)}" for kind, text in KINDS.items())
     rows = "".join(_command(name, kind) for name, kind in sorted(commands().items()))
     return _PAGE.format(run=html.escape(run), kinds=kinds, rows=rows, version=fsar_ledger.__version__)
 
 
 def _command(name: str, kind: type[PublicCommand]) -> str:
     hints, fields = get_type_hints(kind), []
-    for one in msgspec.structs.fields(kind):
-        if one.name in own_fields(kind):
-            text = inspect.formatannotation(hints[one.name]).replace("typing.", "")
+    for field in msgspec.structs.fields(kind):
+        if field.name in own_fields(kind):
+            text = inspect.formatannotation(hints[field.name]).replace("typing.", "")
             text = text.replace("fsar_ledger.events.envelope.", "").replace(
                 "fsar_ledger.runtime.handlers.candidates.", ""
             )
-            mark = "" if one.required else " <i>may be left out</i>"
-            fields.append(f"<li><code>{one.name}</code> {html.escape(text)}{mark}")
+            mark = "" if field.required else " <i>may be left out</i>"
+            fields.append(f"<li><code>{field.name}</code> {html.escape(text)}{mark}")
     return f"<section><h2 id={name}>{name}</h2><p>{html.escape(summary(kind))}</p><ul>{''.join(fields)}</ul></section>"
 
 

@@ -1,8 +1,8 @@
 """The HTTP interface of a live federation: commands in, decisions and events out.
 
 A principal speaks by its token and for itself alone, which the handlers judge (`handlers/public.not_its_word`), so that
-an attempt to speak for another is on record. What is no command, or comes from nobody who is known, is an HTTP error
-and leaves no trace. Nothing here waits without a limit: not for a client's headers, body or reading, nor for the disk.
+an attempt to speak for another is on record. An invalid command, or one without a known token, is an HTTP error and
+leaves no trace. Nothing here waits without a limit: not for a client's headers, body or reading, nor for the disk.
 """
 
 import asyncio
@@ -39,7 +39,7 @@ from .pages import FILES, described, overview, page, page_file
 
 MAX_BODY, MAX_KEY = 1 << 16, 200
 BODY_S, ALIVE_S, END_S = 10.0, 15.0, 3
-"""How long a body may take; when a quiet subscription shows that it is alive; how long the end waits for answers."""
+"""Seconds that a body may take, between signs of life of a quiet subscription, and that the end waits for answers."""
 MAX_CONNECTIONS, MAX_SUBSCRIPTIONS, MAX_OWN_SUBSCRIPTIONS, MAX_DRAWN = 512, 128, 8, 4
 _OWN = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
@@ -51,7 +51,7 @@ _FILTERS = ("after", "robot", "task", "concern")
 
 
 class HttpError(Exception):
-    """An answer that is an error."""
+    """An error answer."""
 
     def __init__(self, status: int, text: str, **headers: str) -> None:
         super().__init__(text)
@@ -63,10 +63,10 @@ class Service:
     """The routes of one federation.
 
     Args:
-        ledger: Where it is on record.
+        ledger: The ledger that records it.
         run: The name of its run.
-        opened: Opens it; called with what is to be told of each commit.
-        principals: Who may speak.
+        opened: Opens it; called with a function that it calls with each commit.
+        principals: The principals that may give commands or read.
         rate: How many commands a second each may give, and as many at once.
         viewed: Returns the page of the run as it is on record.
         ticks: Returns seconds that never go back.
@@ -130,30 +130,30 @@ class Service:
 
     async def _not_there(self, request: Request, error: Exception) -> Response:
         assert isinstance(error, HTTPException)
-        asked = f"{request.method} {request.url.path!r:.80}"
-        text = f"{asked}: {error.detail}; expected a path and a method that /openapi.json describes"
+        call = f"{request.method} {request.url.path!r:.80}"
+        text = f"{call}: {error.detail}; expected a path and a method that /openapi.json describes"
         return self._answer({"error": text}, error.status_code, error.headers)
 
-    def _answer(self, said: object, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
+    def _answer(self, document: object, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
         self._answers[status] += 1
-        return Response(msgspec.json.encode(said) + b"\n", status, headers, "application/json")
+        return Response(msgspec.json.encode(document) + b"\n", status, headers, "application/json")
 
     def _principal(self, request: Request) -> Principal:
-        found = self._principals.known(request.headers.get("authorization", ""))
-        if found is None:
+        principal = self._principals.known(request.headers.get("authorization", ""))
+        if principal is None:
             raise HttpError(
                 401,
                 "found no token of a principal, expected `Authorization: Bearer TOKEN`; "
                 "`fsar-ledger principal new` makes one",
                 www_authenticate="Bearer",
             )
-        return found
+        return principal
 
     async def _command(self, request: Request) -> Response:
-        one = self._principal(request)
-        if one.kind == "auditor":
-            raise HttpError(403, f"{one.principal} reads, expected a principal that gives commands")
-        self._spend(one.principal)
+        principal = self._principal(request)
+        if principal.kind == "auditor":
+            raise HttpError(403, f"{principal.principal} reads, expected a principal that gives commands")
+        self._spend(principal.principal)
         key = request.headers.get("idempotency-key")
         if key is not None and not 0 < len(key) <= MAX_KEY:
             raise HttpError(400, f"Idempotency-Key: found {len(key)} characters, expected 1 to {MAX_KEY}")
@@ -161,7 +161,7 @@ class Service:
         try:
             fields = object_of(await _body(request), "command")
             status = 400 if name in commands() else 404
-            command = command_given(name, one.principal, fields, key)
+            command = command_given(name, principal.principal, fields, key)
         except UsageError as error:
             raise HttpError(status, f"{error}") from error
         try:
@@ -175,7 +175,7 @@ class Service:
         return self._answer(_decided(decision))
 
     def _spend(self, principal: str) -> None:
-        """Take a command from the principal's budget, which is refilled as time goes."""
+        """Take a command from the principal's budget, which is refilled over time."""
         now = self._ticks()
         left, since = self._budgets.get(principal, (self._rate, now))
         left = min(self._rate, left + (now - since) * self._rate)
@@ -188,7 +188,7 @@ class Service:
         self._budgets[principal] = (left - 1, now)
 
     async def _events(self, request: Request) -> Response:
-        one = self._principal(request)
+        principal = self._principal(request)
         if unknown := sorted(set(request.query_params) - set(_FILTERS)):
             raise HttpError(400, f"parameter {unknown[0]!r:.80}: expected some of {', '.join(_FILTERS)}")
         wanted = {name: request.query_params[name] for name in _FILTERS[1:] if name in request.query_params}
@@ -199,45 +199,45 @@ class Service:
                 f"expected one of {', '.join(CONCERNS)}",
             )
         if (robot := wanted.get("robot")) is not None:
-            await self._require_robot(robot, one)
+            await self._require_robot(robot, principal)
         after = request.headers.get("last-event-id", request.query_params.get("after"))
         if after is not None and not (after.isascii() and after.removeprefix("-").isdigit() and len(after) < 16):
             raise HttpError(400, f"after: found {after!r:.80}, expected the seq of the last event that is known")
         if (
             self._subscriptions.total() >= MAX_SUBSCRIPTIONS
-            or self._subscriptions[one.principal] >= MAX_OWN_SUBSCRIPTIONS
+            or self._subscriptions[principal.principal] >= MAX_OWN_SUBSCRIPTIONS
         ):
             raise HttpError(503, "found too many subscriptions, expected that one ends first", retry_after="10")
         first = self._feed.end if after is None else max(0, int(after) + 1)
         self._answers[200] += 1
-        return EventStream(first, partial(self._follow, one, first, wanted))
+        return EventStream(first, partial(self._follow, principal, first, wanted))
 
-    async def _require_robot(self, name: str, one: Principal) -> None:
-        """Require that a robot of this name has joined; a robot is not told of others. Raises: HttpError."""
+    async def _require_robot(self, name: str, principal: Principal) -> None:
+        """Require that a robot of this name has joined; to a robot, others are not named. Raises: HttpError."""
         try:
             robots = await self._decider.ask(lambda state, _: [*state.fleet.robots])
-        except FsarLedgerError:  # who follows what comes can wait for the disk
+        except FsarLedgerError:  # a client that follows events can wait for the disk
             return
         if name not in robots:
-            others = "" if one.kind == "robot" else f"; expected one of {', '.join(robots)}"
+            others = "" if principal.kind == "robot" else f"; expected one of {', '.join(robots)}"
             raise HttpError(400, f"robot {name!r:.80}: there is none{others}")
 
-    async def _follow(self, one: Principal, seq: int, wanted: dict[str, str], put: Put) -> None:
-        """Put what the principal wants and may see, from this seq on, until the service ends."""
-        self._subscriptions[one.principal] += 1
+    async def _follow(self, principal: Principal, seq: int, wanted: dict[str, str], put: Put) -> None:
+        """Put the events that the principal wants and may see, from this seq on, until the service ends."""
+        self._subscriptions[principal.principal] += 1
         try:
-            told = self._ticks()
+            sent_s = self._ticks()
             while self._server is None or not self._server.should_exit:
                 rows = await self._feed.rows_from(seq, 1.0)
                 seq = rows[-1].seq + 1 if rows else seq
-                if said := b"".join(_said(row, one, wanted) for row in rows):
-                    await put(said)
-                    told = self._ticks()
-                elif self._ticks() - told > ALIVE_S:
+                if body := b"".join(_said(row, principal, wanted) for row in rows):
+                    await put(body)
+                    sent_s = self._ticks()
+                elif self._ticks() - sent_s > ALIVE_S:
                     await put(b": alive\nid: %d\n\n" % (seq - 1))
-                    told = self._ticks()
+                    sent_s = self._ticks()
         finally:
-            self._subscriptions[one.principal] -= 1
+            self._subscriptions[principal.principal] -= 1
 
     async def _health(self, _: Request) -> Response:
         failed = self._decider.failed
@@ -257,7 +257,7 @@ class Service:
         text = "".join(f"# TYPE {name} {kind}\n{name} {count}\n" for name, (kind, count) in lines.items())
         text += "# TYPE fsar_answers_total counter\n"
         text += "".join(
-            f'fsar_answers_total{{status="{one}"}} {count}\n' for one, count in sorted(self._answers.items())
+            f'fsar_answers_total{{status="{status}"}} {count}\n' for status, count in sorted(self._answers.items())
         )
         return PlainTextResponse(text, media_type="text/plain; version=0.0.4")
 
@@ -265,39 +265,39 @@ class Service:
         return self._answer(described())
 
     def _reader(self, request: Request) -> Principal:
-        """Return who asks for what robots do not see."""
-        one = self._principal(request)
-        if one.kind == "robot":
-            raise HttpError(403, f"{one.principal} is a robot, expected a person or a program")
-        return one
+        """Return the principal of a request that robots may not make. Raises: HttpError."""
+        principal = self._principal(request)
+        if principal.kind == "robot":
+            raise HttpError(403, f"{principal.principal} is a robot, expected a person or a program")
+        return principal
 
     async def _overview(self, request: Request) -> Response:
-        one = self._reader(request)
+        reader = self._reader(request)
         try:
-            seen = await self._decider.ask(partial(overview, principal=one.principal, run=self._run))
+            document = await self._decider.ask(partial(overview, principal=reader.principal, run=self._run))
         except FsarLedgerError as error:
             raise HttpError(503, f"{error}", retry_after="5") from error
-        return self._answer(seen)
+        return self._answer(document)
 
     async def _view(self, request: Request) -> Response:
-        """Draw the run until now as the page of `fsar-ledger view`, and say where it can be fetched once."""
+        """Draw the run until now as the page of `fsar-ledger view`, and return where it can be fetched once."""
         self._reader(request)
         async with self._viewing:
             try:
-                drawn = await asyncio.to_thread(self._viewed)
+                content = await asyncio.to_thread(self._viewed)
             except FsarLedgerError as error:
                 raise HttpError(503, f"{error}", retry_after="5") from error
         ticket = secrets.token_urlsafe(16)
-        self._drawn[ticket] = drawn
+        self._drawn[ticket] = content
         while len(self._drawn) > MAX_DRAWN:
             del self._drawn[next(iter(self._drawn))]
         return self._answer({"page": f"view/{ticket}"})
 
     async def _shown(self, request: Request) -> Response:
-        drawn = self._drawn.pop(request.path_params["ticket"], None)
-        if drawn is None:
+        content = self._drawn.pop(request.path_params["ticket"], None)
+        if content is None:
             raise HttpError(404, "the page was fetched already, or there was none")
-        return HTMLResponse(drawn, headers={"Content-Security-Policy": "sandbox allow-scripts allow-downloads"})
+        return HTMLResponse(content, headers={"Content-Security-Policy": "sandbox allow-scripts allow-downloads"})
 
     async def _file(self, request: Request) -> Response:
         name, kind = FILES[request.url.path]
@@ -309,9 +309,9 @@ class Service:
         )
 
     def serve(self, listening: socket.socket, certificate: Path | None = None, key: Path | None = None) -> None:
-        """Serve here until SIGTERM, Ctrl-C or `stop`; answers under way are given, and the ledger is closed.
+        """Serve here until SIGTERM, Ctrl-C or `stop`; pending answers are sent, and the ledger is closed.
 
-        Raises: As the federation that cannot be opened.
+        Raises: As `opened`.
         """
         config = uvicorn.Config(
             self.app,
@@ -338,15 +338,15 @@ class Service:
             self._server.should_exit = True
 
 
-def _said(row: Row, one: Principal, wanted: dict[str, str]) -> bytes:
-    """Return the event as a client is told of it; nothing if it does not want it or may not see it."""
-    said = b"data: %s\nid: %d\n\n" % (row.data, row.seq)
-    if one.kind != "robot" and not wanted:
-        return said
+def _said(row: Row, principal: Principal, wanted: dict[str, str]) -> bytes:
+    """Return the event as a message to a client; empty if it does not want it or may not see it."""
+    message = b"data: %s\nid: %d\n\n" % (row.data, row.seq)
+    if principal.kind != "robot" and not wanted:
+        return message
     columns = msgspec.json.decode(row.data, type=dict[str, Any])
     kind = str(columns["type"])
     names = {text for value in columns.values() for text in (value if isinstance(value, list) else (value,))}
-    if one.kind == "robot" and one.principal not in names:
+    if principal.kind == "robot" and principal.principal not in names:
         return b""
     if "robot" in wanted and wanted["robot"] not in names:
         return b""
@@ -354,29 +354,29 @@ def _said(row: Row, one: Principal, wanted: dict[str, str]) -> bytes:
         return b""
     if "concern" in wanted and CONCERN_OF.get(kind.partition(".")[0]) != wanted["concern"]:
         return b""
-    return said
+    return message
 
 
 def _decided(decision: Decision) -> dict[str, object]:
-    said: dict[str, object] = {"seq": decision.seq, "rejected": decision.rejected, "events": _rows(decision.events)}
-    return said | ({"followed": _rows(decision.followed)} if decision.followed else {})
+    document: dict[str, object] = {"seq": decision.seq, "rejected": decision.rejected, "events": _rows(decision.events)}
+    return document | ({"followed": _rows(decision.followed)} if decision.followed else {})
 
 
 def _rows(events: tuple[Event, ...]) -> list[dict[str, object]]:
     rows = [(type(event).__name__, flat(event)) for event in events]
-    return [{"type": kind, **{name: one for name, one in row.items() if one is not None}} for kind, row in rows]
+    return [{"type": kind, **{name: value for name, value in row.items() if value is not None}} for kind, row in rows]
 
 
 async def _body(request: Request) -> bytes:
     """Return the body. Raises: HttpError if it is too long or takes too long."""
 
     async def read() -> bytes:
-        found = bytearray()
+        body = bytearray()
         async for part in request.stream():
-            found += part
-            if len(found) > MAX_BODY:
+            body += part
+            if len(body) > MAX_BODY:
                 raise HttpError(413, f"found more than {MAX_BODY:,} bytes, expected one command", connection="close")
-        return bytes(found)
+        return bytes(body)
 
     try:
         return await asyncio.wait_for(read(), BODY_S)

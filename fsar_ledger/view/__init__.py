@@ -24,9 +24,9 @@ from fsar_ledger.runtime.forks import parts_at
 from .spans import TRACKS, Span, lane_of, spans_of
 
 _KINDS = ("robot", "supervisor", "coordinator", "service")
-_ORDER = {kind: place for place, kind in enumerate(_KINDS)}
+_ORDER = {kind: rank for rank, kind in enumerate(_KINDS)}
 _FIELDS = ("claimant", "supervisor", "holder", "robot", "decided_by", "requested_by", "executed_by")
-"""The fields that say whose event it is where its words do not, best first."""
+"""The fields that name the principal of an event if its words do not, best first."""
 
 _ARROWS = {
     "request": ("RequestIssued", "RequestRelayed", "CommandIssued", "AwardMade", "BidSubmitted", "OfferAnswered"),
@@ -35,11 +35,11 @@ _ARROWS = {
     "refusal": ("RequestDenied", "RequestUnanswered"),
 }
 ARROW_OF = {name: kind for kind, names in _ARROWS.items() for name in names}
-"""By type of an event, the kind of its arrow where that is not `message`."""
+"""The kind of arrow by event type, if that is not `message`."""
 
 
 class Words(NamedTuple):
-    """An event in the words of `log`: who tells whom (the same for a deed), what, what else, about which action."""
+    """An event in the words of `log`: sender, receiver (the same for an act), message, note, and its action."""
 
     sender: str | None
     receiver: str | None
@@ -70,7 +70,7 @@ class Arrow(NamedTuple):
 
 
 class EventLabel(NamedTuple):
-    """One event: its words, the lane that it lies in, and its task, where the record says so."""
+    """The label of an event: its words, its lane, and its task, if on record."""
 
     words: Words
     lane: str | None
@@ -78,7 +78,7 @@ class EventLabel(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """A run to draw, and the name that people give it: its number, where it has one."""
+    """A run to draw, with a short name: its number, if it has one."""
 
     run: LedgerRun
     name: str
@@ -101,19 +101,19 @@ def concern_of(event: Event) -> str | None:
 def drawn(run: LedgerRun, name: str, words: Sequence[Words]) -> Drawn:
     """Return the run with everything that is drawn of it. `words` has one element for each event."""
     spans = spans_of(run)
-    told = tuple(_told(event, one) for event, one in zip(run.events, words, strict=True))
-    lanes = _lanes(run.events, told, spans)
-    arrows = tuple(_arrows(run, told, {lane.name for lane in lanes}))
-    return Drawn(run, name, lanes, spans, arrows, told)
+    labels = tuple(_told(event, event_words) for event, event_words in zip(run.events, words, strict=True))
+    lanes = _lanes(run.events, labels, spans)
+    arrows = tuple(_arrows(run, labels, {lane.name for lane in lanes}))
+    return Drawn(run, name, lanes, spans, arrows, labels)
 
 
 def _told(event: Event, words: Words) -> EventLabel:
     fields = flat(event)
-    mine = words.sender or words.receiver
+    principal = words.sender or words.receiver
     lane = next(
         (
             lane_of(name)
-            for name in (mine, *(fields.get(field) for field in _FIELDS))
+            for name in (principal, *(fields.get(field) for field in _FIELDS))
             if isinstance(name, str) and name.partition("/")[0] in (*_KINDS, "agent")
         ),
         None,
@@ -122,18 +122,18 @@ def _told(event: Event, words: Words) -> EventLabel:
     return EventLabel(words, lane, task)
 
 
-def _lanes(events: Sequence[Event], told: Sequence[EventLabel], spans: Sequence[Span]) -> tuple[Lane, ...]:
-    """Return a lane for each principal that the record names: robots as they joined, then who they answer to."""
+def _lanes(events: Sequence[Event], labels: Sequence[EventLabel], spans: Sequence[Span]) -> tuple[Lane, ...]:
+    """Return a lane for each principal that the record names: robots as they joined, then their supervisors."""
     about: dict[str, str] = {}
     for event in events:
         if isinstance(event, RobotJoined):
             role = f"role {event.role}" if event.role else None
             team = None if event.team is None else f"team {event.team}"
-            about[event.robot] = ", ".join(one for one in (role, team, event.place) if one)
+            about[event.robot] = ", ".join(part for part in (role, team, event.place) if part)
             if event.supervisor is not None:
                 about.setdefault(event.supervisor, "")
-    for one in told:
-        for name in (one.lane, one.words.sender, one.words.receiver):
+    for label in labels:
+        for name in (label.lane, label.words.sender, label.words.receiver):
             if name is not None and lane_of(name).partition("/")[0] in _KINDS:
                 about.setdefault(lane_of(name), "")
     for span in spans:
@@ -142,28 +142,28 @@ def _lanes(events: Sequence[Event], told: Sequence[EventLabel], spans: Sequence[
     return tuple(Lane(name, about[name]) for name in names)
 
 
-def _arrows(run: LedgerRun, told: Sequence[EventLabel], lanes: set[str]) -> Iterator[Arrow]:
-    caused: Mapping[int, list[int]] = _effects(run)
-    for seq, one in enumerate(told):
-        sender, receiver = one.words.sender, one.words.receiver
+def _arrows(run: LedgerRun, labels: Sequence[EventLabel], lanes: set[str]) -> Iterator[Arrow]:
+    effects_of: Mapping[int, list[int]] = _effects(run)
+    for seq, label in enumerate(labels):
+        sender, receiver = label.words.sender, label.words.receiver
         if sender is None or receiver is None:
             continue
         ends = lane_of(sender), lane_of(receiver)
         if ends[0] == ends[1] or not lanes.issuperset(ends):
             continue
         kind = ARROW_OF.get(type_name(run.events[seq]), "message")
-        effects = caused.get(seq, []) if kind == "request" else []
-        arrived = next((effect for effect in effects if told[effect].lane == ends[1]), seq)
+        effects = effects_of.get(seq, []) if kind == "request" else []
+        arrived = next((effect for effect in effects if labels[effect].lane == ends[1]), seq)
         yield Arrow(*ends, run.times_us[seq], run.times_us[arrived], seq, kind)
 
 
 def _effects(run: LedgerRun) -> dict[int, list[int]]:
     """Return, by seq, the events that it caused directly."""
-    found: dict[int, list[int]] = {}
+    effects: dict[int, list[int]] = {}
     for seq, cause in enumerate(run.caused_by):
         if cause is not None:
-            found.setdefault(cause, []).append(seq)
-    return found
+            effects.setdefault(cause, []).append(seq)
+    return effects
 
 
 def words_of(rows: Sequence[Mapping[str, Any]]) -> tuple[Words, ...]:
@@ -172,11 +172,11 @@ def words_of(rows: Sequence[Mapping[str, Any]]) -> tuple[Words, ...]:
 
 
 _ABOUT = ("architecture", "configuration", "scenario", "seed", "fleet_size", "kind", "source", "model_version")
-"""The fields of event 0 that say which run it is."""
+"""The fields of event 0 that identify the run."""
 
 
 class PageOptions(msgspec.Struct, frozen=True):
-    """A run to show, and where it comes from: the words that name its ledger in a command, and the head.
+    """A run to show, and its origin: the word that names its ledger in a command, and the head.
 
     `not_observed` names the concerns that its source does not record, or only in part.
     """
@@ -191,12 +191,12 @@ class PageOptions(msgspec.Struct, frozen=True):
 
 def page(one: PageOptions, other: PageOptions | None = None) -> bytes:
     """Return the page for a run, or for two one above the other with their first difference marked."""
-    shown = [one] if other is None else [one, other]
+    options = [one] if other is None else [one, other]
     first = None if other is None else parts_at(one.drawn.run, other.drawn.run)
     document = {
         "is_same": other is not None and first is None,
         "first_difference": first,
-        "runs": [_document(run) for run in shown],
+        "runs": [_document(run) for run in options],
     }
     data = msgspec.json.encode(document).decode().replace("<", "\\u003c").replace(">", "\\u003e")
     parts = {name: files(__package__).joinpath(f"page.{name}").read_text("utf-8") for name in ("html", "css", "js")}
@@ -213,45 +213,45 @@ def page(one: PageOptions, other: PageOptions | None = None) -> bytes:
 
 
 def _hash(text: str) -> str:
-    """Return what admits this text in a Content-Security-Policy."""
+    """Return the source expression that admits this text in a Content-Security-Policy."""
     return "'sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() + "'"
 
 
-def _place(value: Hashable, places: dict[Any, int]) -> int:
-    """Return the place of a value that is written once and then named by its place."""
-    return places.setdefault(value, len(places))
+def _place(value: Hashable, indexes: dict[Any, int]) -> int:
+    """Return the index of a value that is written once and then named by its index."""
+    return indexes.setdefault(value, len(indexes))
 
 
-def _document(shown: PageOptions) -> dict[str, Any]:
-    """Return the run as the page reads it (`src/data.ts` says how): lists instead of objects, repetition by number."""
-    drawn = shown.drawn
+def _document(options: PageOptions) -> dict[str, Any]:
+    """Return the run as the page reads it (see `src/data.ts`): lists instead of objects, repeated values by index."""
+    drawn = options.drawn
     run = drawn.run
     words: dict[Any, int] = {}
     payloads: dict[Any, int] = {}
     types: dict[Any, int] = {}
-    lanes = {lane.name: place for place, lane in enumerate(drawn.lanes)}
+    lanes = {lane.name: index for index, lane in enumerate(drawn.lanes)}
     events: list[list[Any]] = []
-    before_us = 0
+    previous_us = 0
     for seq, event in enumerate(run.events):
-        told = drawn.told[seq]
+        label = drawn.told[seq]
         fields = flat(event)
         kind = _place((type_name(event), concern_of(event), tuple(fields)), types)
-        lane = -1 if told.lane is None else lanes[told.lane]
+        lane = -1 if label.lane is None else lanes[label.lane]
         payload = _place((kind, *fields.values()), payloads)
         events.append(
-            [run.times_us[seq] - before_us, run.caused_by[seq], payload, _place(told.words, words), lane, told.task]
+            [run.times_us[seq] - previous_us, run.caused_by[seq], payload, _place(label.words, words), lane, label.task]
         )
-        before_us = run.times_us[seq]
+        previous_us = run.times_us[seq]
     about = flat(run.events[0])
     return {
         "run": run.run_id,
         "name": drawn.name,
-        "ledger": shown.ledger,
-        "size": shown.size,
-        "root": shown.root,
-        "is_verified": shown.is_verified,
+        "ledger": options.ledger,
+        "size": options.size,
+        "root": options.root,
+        "is_verified": options.is_verified,
         "epoch": about.get("epoch"),
-        "not_observed": shown.not_observed,
+        "not_observed": options.not_observed,
         "about": [[name.replace("_", " "), f"{about[name]}"] for name in _ABOUT if about.get(name) is not None],
         "lanes": drawn.lanes,
         "types": list(types),
@@ -260,8 +260,8 @@ def _document(shown: PageOptions) -> dict[str, Any]:
         "events": events,
         "spans": [_span(span, lanes) for span in drawn.spans],
         "arrows": [
-            [lanes[one.sender], lanes[one.receiver], one.sent_us, one.arrived_us, one.seq, one.kind]
-            for one in drawn.arrows
+            [lanes[arrow.sender], lanes[arrow.receiver], arrow.sent_us, arrow.arrived_us, arrow.seq, arrow.kind]
+            for arrow in drawn.arrows
         ],
     }
 
@@ -280,8 +280,8 @@ _OTHER = "run"
 
 # The format is the JSON of the "Trace Event Format": a process for each kind of principal, a thread for each principal
 # and track, a slice (`X`) for each span, a flow (`s`, `f`) for each message between lanes, an instant (`i`) for each
-# event. A flow binds to slices, so a message has one of a microsecond at both ends. Units: microseconds, in which the
-# format counts, too.
+# event. A flow binds to slices, so a message has one of a microsecond at both ends. Units: microseconds, as in the
+# format.
 
 
 def trace(drawn: Drawn) -> bytes:
@@ -312,8 +312,8 @@ class _Numbers:
         for arrow in drawn.arrows:
             for lane in (arrow.sender, arrow.receiver):
                 self.rows.setdefault((lane, MESSAGES, 0), 0)
-        ordered = sorted(self.rows, key=lambda one: (one[0], (*TRACKS, MESSAGES).index(one[1]), one[2]))
-        self.rows = {one: number for number, one in enumerate(ordered, start=len(self.processes) + 1)}
+        ordered = sorted(self.rows, key=lambda key: (key[0], (*TRACKS, MESSAGES).index(key[1]), key[2]))
+        self.rows = {key: number for number, key in enumerate(ordered, start=len(self.processes) + 1)}
 
     def events_of(self, lane: str | None) -> dict[str, int]:
         """Return process and thread of the events of a lane. The main thread of a process has its number."""
@@ -356,9 +356,9 @@ def _slices(drawn: Drawn, numbers: _Numbers) -> Iterator[dict[str, Any]]:
 
 
 def _instants(drawn: Drawn, numbers: _Numbers) -> Iterator[dict[str, Any]]:
-    for seq, (event, told) in enumerate(zip(drawn.run.events, drawn.told, strict=True)):
-        recorded = {"seq": seq, "caused_by": drawn.run.caused_by[seq], "words": told.words.message, **flat(event)}
-        where = {"ts": drawn.run.times_us[seq], **numbers.events_of(told.lane)}
+    for seq, (event, label) in enumerate(zip(drawn.run.events, drawn.told, strict=True)):
+        recorded = {"seq": seq, "caused_by": drawn.run.caused_by[seq], "words": label.words.message, **flat(event)}
+        where = {"ts": drawn.run.times_us[seq], **numbers.events_of(label.lane)}
         yield {
             "ph": "i", "s": "t", "name": type_name(event), "cat": concern_of(event) or "run", **where, "args": recorded
         }  # fmt: skip

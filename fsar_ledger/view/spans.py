@@ -1,6 +1,6 @@
-"""What held from when to when in a run: a span for each fact of its state, such as an execution or an open window.
+"""The time spans in which facts of a run's state held, such as an execution or an open window.
 
-The facts are read from the projections, so a span means what the handlers themselves knew by that name.
+The facts are read from the projections, so a span means what the handlers themselves mean by that name.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -33,11 +33,11 @@ _WORK = {
     "preempted": "paused",
     "halted": "paused",
 }
-"""By stage of the action that holds a robot, the kind of its span where that is not the stage itself."""
+"""The kind of a span by the stage of the action that occupies the robot, if that is not the stage itself."""
 
 
 class Fact(NamedTuple):
-    """Something that holds for a while. `about` is an action, task or window; `text` says it in words.
+    """A fact that holds for a while. `about` is an action, task or window; `text` describes it.
 
     `lane` is the principal it holds for, `track` one of `TRACKS`.
     """
@@ -50,7 +50,7 @@ class Fact(NamedTuple):
 
 
 class Span(NamedTuple):
-    """From when to when a fact held. Units: microseconds of run time; `end_us` None: until the end of the record.
+    """The time in which a fact held. Units: microseconds of run time; `end_us` None: until the end of the record.
 
     `seq` is the event from which it held, `until` the one from which it no longer did, if an event ended it.
     """
@@ -63,27 +63,29 @@ class Span(NamedTuple):
 
 
 def lane_of(principal: Principal | str) -> str:
-    """Return the lane of a principal: its own, and that of its robot for an agent."""
+    """Return the lane of a principal: its own, or for an agent that of its robot."""
     kind, _, rest = principal.partition("/")
     return f"robot/{rest.split('/')[0]}" if kind == "agent" else principal
 
 
 def spans_of(run: LedgerRun) -> tuple[Span, ...]:
-    """Return what held from when to when, in order of its beginning."""
+    """Return the spans of a run, in order of their beginning."""
     state, facts, ends = State(), _Facts(), RequestEnds()
-    # As `state`: not how long a robot acts, or what waits, where the source does not say so.
-    seen = Coverage(run.events[0])
-    told = partial(_execution, is_work_told=seen.tells_ends, is_queue_told="execution" not in seen.lacking)
-    reads: dict[str, Callable[[Any], Iterator[Fact]]] = {**FACTS, "execution": told}
+    # As in `state`: not how long a robot acts, or what waits, if the source does not record it.
+    coverage = Coverage(run.events[0])
+    execution_facts = partial(
+        _execution, is_work_told=coverage.tells_ends, is_queue_told="execution" not in coverage.lacking
+    )
+    reads: dict[str, Callable[[Any], Iterator[Fact]]] = {**FACTS, "execution": execution_facts}
     for seq, (time_us, event) in enumerate(zip(run.times_us, run.events, strict=True)):
         requests, actions, ended = state.request, state.execution.actions, ends
         ends = ends.after(event)
         for slot, evolve in ROUTES.get(type(event), ()):
-            before = getattr(state, slot)
-            after = evolve(before, event)
-            setattr(state, slot, after)
-            if after is not before and slot in reads:
-                facts.now(slot, frozenset(reads[slot](after)), time_us, seq)
+            old = getattr(state, slot)
+            new = evolve(old, event)
+            setattr(state, slot, new)
+            if new is not old and slot in reads:
+                facts.now(slot, frozenset(reads[slot](new)), time_us, seq)
         is_freed = ends.is_foreign and state.execution.actions is not actions
         if state.request is not requests or ends is not ended or is_freed:
             facts.requests(state, ends, event, time_us, seq)
@@ -93,7 +95,7 @@ def spans_of(run: LedgerRun) -> tuple[Span, ...]:
 
 
 class _Facts:
-    """The facts that hold at present, by what they were read from, and the spans that are over."""
+    """The facts that hold at present, by their source, and the spans that have ended."""
 
     def __init__(self) -> None:
         self.spans: list[Span] = []
@@ -103,28 +105,28 @@ class _Facts:
         self._requests: set[str] = set()
 
     def now(self, source: str, facts: frozenset[Fact], time_us: int, seq: int) -> None:
-        """From this event on exactly these facts hold, of those with this source."""
-        known = self._open.setdefault(source, {})
-        for fact in [fact for fact in known if fact not in facts]:
-            start_us, since = known.pop(fact)
+        """Replace the facts from this source by these, which hold from this event on."""
+        open_facts = self._open.setdefault(source, {})
+        for fact in [fact for fact in open_facts if fact not in facts]:
+            start_us, since = open_facts.pop(fact)
             self.spans.append(Span(fact, start_us, time_us, since, seq))
-        for fact in facts - known.keys():
-            known[fact] = (time_us, seq)
+        for fact in facts - open_facts.keys():
+            open_facts[fact] = (time_us, seq)
 
     def requests(self, state: State, ends: RequestEnds, event: Event, time_us: int, seq: int) -> None:
-        """Follow the open requests. What is over may stay in the state for ever; it opens again only if it is named."""
+        """Update the open requests. A closed one may stay in the state forever; it reopens only if it is named."""
         fields = flat(event)
         named: set[str] = {fields.get("action_id") or "", fields.get("task_id") or ""}
-        known, actions = state.request.open, state.execution.actions
+        open_requests, actions = state.request.open, state.execution.actions
         self._requests = {
             name
             for name in self._requests | named
-            if (request := known.get(name)) is not None and not ends.is_over(request, actions)
+            if (request := open_requests.get(name)) is not None and not ends.is_over(request, actions)
         }
-        self.now("request", frozenset(request_facts(known[name] for name in self._requests)), time_us, seq)
+        self.now("request", frozenset(request_facts(open_requests[name] for name in self._requests)), time_us, seq)
 
     def beside(self, event: Event, time_us: int, seq: int) -> None:
-        """Follow what the state holds only in part: the availability on record, and the work of the coordinator."""
+        """Update what the state holds only in part: the availability on record, and the work of the coordinator."""
         match event:
             case AvailabilityChanged(robot=robot, capability=capability, availability=availability):
                 text = f"{availability}: {capability or 'every capability'} ({event.reason})"
@@ -141,9 +143,9 @@ class _Facts:
                 pass
 
     def end(self) -> None:
-        """Keep what still holds at the end of the record."""
-        for known in self._open.values():
-            self.spans += [Span(fact, start_us, None, seq, None) for fact, (start_us, seq) in known.items()]
+        """Add a span for each fact that still holds at the end of the record."""
+        for open_facts in self._open.values():
+            self.spans += [Span(fact, start_us, None, seq, None) for fact, (start_us, seq) in open_facts.items()]
 
 
 def _tasks(state: Tasks) -> Iterator[Fact]:
@@ -172,7 +174,7 @@ def _recoveries(state: Recoveries) -> Iterator[Fact]:
 
 
 def request_facts(requests: Iterable[Request]) -> Iterator[Fact]:
-    """Yield the requests to somebody else."""
+    """Yield a fact for each delegated request."""
     for request in requests:
         if request.is_delegated:
             kind = "accepted" if request.is_accepted else "open"
@@ -193,7 +195,7 @@ def _claims(state: Authority) -> Iterator[Fact]:
 def _rules(state: Policy) -> Iterator[Fact]:
     for rule in rules_in_force(state):
         if rule.outcome != "allow":
-            about = " in ".join(one for one in (rule.capability or "every capability", rule.context) if one)
+            about = " in ".join(part for part in (rule.capability or "every capability", rule.context) if part)
             yield Fact(rule.robot, "policy", rule.outcome, about, f"{rule.scope} rule: {rule.outcome}")
 
 
@@ -231,4 +233,4 @@ FACTS: dict[str, Callable[[Any], Iterator[Fact]]] = {
     "world": _world,
     "knowledge": _told,
 }
-"""By slot of the state, the facts that it holds; requests rest on more than one (`_Facts.requests`)."""
+"""The facts of each slot of the state; requests rest on more than one (`_Facts.requests`)."""
