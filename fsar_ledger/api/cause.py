@@ -193,8 +193,7 @@ def cause(
         unknown=result.unknown,
         also_necessary=result.also_necessary,
         candidates=result.candidates,
-        forks=result.forks
-        + (0 if chances is None else sum(chance.futures + chance.undefined for chance in chances.chances)),
+        forks=result.forks + (0 if chances is None else sum(row.futures + row.undefined for row in chances.chances)),
         chances=() if chances is None else chances.chances,
         last_open_s=None if chances is None else chances.last_open_s,
         closing_seq=closing,

@@ -334,14 +334,14 @@ def _later(view: View, carried: _Carried) -> pa.Table | None:
     return None if pc.any(forgotten, min_count=0).as_py() else events
 
 
-def _lines(database: Database, asked: LogRequest, untold: pa.Table | None = None) -> pa.Table:
+def _lines(database: Database, request: LogRequest, untold: pa.Table | None = None) -> pa.Table:
     """Return the requested lines of all runs here, of the events `untold` alone if given, in ledger order."""
-    select, values = asked.meant.sql()
+    select, values = request.meant.sql()
     bound: dict[str, Value] = dict(values)
-    conditions = ["run_id = $run"] if asked.meant.run is not None else []
-    if asked.about:
+    conditions = ["run_id = $run"] if request.meant.run is not None else []
+    if request.about:
         conditions.append("list_contains($about, concern)")
-        bound["about"] = list(asked.about)
+        bound["about"] = list(request.about)
     if values.keys() - {"run"}:
         conditions += _among(database, f"SELECT run_id, seq FROM ({select})", values)
     if untold is not None:

@@ -269,14 +269,14 @@ def _no_action(database: "Database", ledger: Path, run: str | None, action: str,
     """Return the error text for an action that the run (None: any run) lacks, with the nearest and how to list them."""
     from fsar_ledger.metrics.sql_values import names_on_record
 
-    place = "any run" if run is None else f"run {printable.value(run)}"
+    where = "any run" if run is None else f"run {printable.value(run)}"
     hint = printable.did_you_mean(action, names_on_record(database, "action", run)) or ";"
     command = (
         f"query requests {printable.word(ledger)}"
         if run is None
         else f"explain {printable.word(ledger)} --run {printable.word(run if number is None else number)}"
     )
-    return f"{action}: there is no such request in {place}{hint} `fsar-ledger {command}` lists them"
+    return f"{action}: there is no such request in {where}{hint} `fsar-ledger {command}` lists them"
 
 
 def shown(rows: Sequence[Mapping[str, Any]]) -> Rows:

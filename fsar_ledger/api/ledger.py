@@ -200,7 +200,7 @@ class Ledger:
         return Table(pa.table(columns))
 
     def query_text(self, name: str) -> str:
-        """Return the SQL of a packaged query with its header, which explains its rows and NULLs.
+        """Return the SQL of a packaged query with its header, which says what its rows and its NULLs mean.
 
         Raises:
             UnknownQuery: There is no query of this name.

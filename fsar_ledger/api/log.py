@@ -159,9 +159,9 @@ def stream_log(
             "was opened without demanding that, or no waiting for more"
         )
     with ledger.database() as database:
-        asked = asked_of(database, ledger.path, ALL, since, until, robot, about, is_growing=pause is not None)
-        provenance = about_of(database, asked)
-    return stream(ledger.path, asked, provenance, ledger.demanded, pause)
+        request = asked_of(database, ledger.path, ALL, since, until, robot, about, is_growing=pause is not None)
+        provenance = about_of(database, request)
+    return stream(ledger.path, request, provenance, ledger.demanded, pause)
 
 
 class Lines:

@@ -197,9 +197,9 @@ class ImportResult(Answer, msgspec.Struct, frozen=True):
         """Yield what was read, what was made of it, what was not understood, and what is observable."""
         result, value = self.made, printable.value
         earlier = f", {result.before:,} of them before" if result.before else ""
-        read = f"{counted(result.records, 'record')} of {value(result.format)}{earlier}"
+        source = f"{counted(result.records, 'record')} of {value(result.format)}{earlier}"
         yield printable.lines(
-            f"{self.ledger.path}: run {value(result.run)}, {read}",
+            f"{self.ledger.path}: run {value(result.run)}, {source}",
             *([f"on file before, as run {', '.join(map(value, self.also))}: all counts twice"] if self.also else []),
             f"events made: {', '.join(f'{count:,} {kind}' for kind, count in result.events.items()) or 'none'}",
             *(

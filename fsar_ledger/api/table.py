@@ -261,8 +261,8 @@ def _arrow_type(kind: msgspec.inspect.Type) -> pa.DataType | None:
         msgspec.inspect.FloatType: pa.float64(),
         msgspec.inspect.BoolType: pa.bool_(),
     }
-    found = [types.get(type(option)) for option in options if not isinstance(option, msgspec.inspect.NoneType)]
-    return found[0] if len(found) == 1 else None
+    arrow_types = [types.get(type(option)) for option in options if not isinstance(option, msgspec.inspect.NoneType)]
+    return arrow_types[0] if len(arrow_types) == 1 else None
 
 
 def _with_integers(table: pa.Table) -> pa.Table:

@@ -57,9 +57,9 @@ def _asked(
     if out is None and perfetto is None:
         raise UsageError("found neither --out nor --perfetto, expected a file to write; give --out FILE.html")
     if perfetto is not None and (second is not None or other is not None):
-        given = f"--with {second}" if second is not None else f"--other {other and other.path}"
+        extra = f"--with {second}" if second is not None else f"--other {other and other.path}"
         raise UsageError(
-            f"--perfetto {perfetto} and {given}: a trace shows one run, expected one of them; --out FILE.html shows two"
+            f"--perfetto {perfetto} and {extra}: a trace shows one run, expected one of them; --out FILE.html shows two"
         )
     for file, suffix, name in ((out, PAGE, "out"), (perfetto, TRACE, "perfetto")):
         if file is not None:
