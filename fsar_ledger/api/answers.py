@@ -177,7 +177,7 @@ class Lines(Answer):
     def __init__(self, *lines: str, **document: object) -> None:
         self._lines, self._document = lines, document
         self.provenances: tuple[Provenance, ...] = ()
-        """The heads it holds for."""
+        """The provenance of each ledger it is about."""
 
     def document(self, _: Screen) -> Mapping[str, object]:
         """Return the JSON document."""

@@ -57,9 +57,9 @@ class DifferenceLine(msgspec.Struct, frozen=True):
 class FirstDifference(msgspec.Struct, frozen=True):
     """Where two runs diverge: the first event of each that is not the same in the other, with its chain of causes.
 
-    Each chain begins with the event and goes back to a fact of the world; empty where all events of the run are the
-    same in the other. `fields` are those that differ where both are the same event. Units: `at_s` seconds of run time;
-    what a field named `_us` holds, microseconds.
+    Each chain begins with the event and goes back to a fact of the world; empty if all events of the run are the same
+    in the other. `fields` are those that differ if both are the same event. Units: `at_s` seconds of run time; values
+    of fields named `_us` microseconds.
     """
 
     at_s: float

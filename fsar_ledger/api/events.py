@@ -107,7 +107,7 @@ def names(event: Event, robot: str) -> bool:
 
 
 def span(since: Time, until: Time) -> tuple[int | None, int | None]:
-    """Return both times in microseconds. Raises: UsageError if one is no time, or the second is not later."""
+    """Return both times in microseconds. Raises: UsageError if one is not a time, or the second is not later."""
     since_us, until_us = microseconds(option("since"), since), microseconds(option("until"), until)
     if since_us is not None and until_us is not None and since_us >= until_us:
         raise UsageError(
@@ -283,7 +283,7 @@ def stream(
 
 
 AFRESH = 20_000
-"""New events after which, of a followed ledger, only the events that later lines may need are kept."""
+"""The number of new events after which a followed ledger is reduced to the events that later lines may need."""
 _BEGINNINGS = ("TaskArrived.v1", "OutsiderRequestInjected.v1")
 
 
@@ -299,7 +299,7 @@ class _Carried(NamedTuple):
 
 
 def _carried(database: Database, view: View) -> _Carried | None:
-    """Return what to carry on from all events; None if they are of several runs, or of an incomplete one."""
+    """Return the events to carry over; None if there are several runs, or an incomplete one."""
     runs = database.table("SELECT DISTINCT run_id FROM events")["run_id"].to_pylist()
     if len(runs) != 1:
         return None

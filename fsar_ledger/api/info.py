@@ -102,7 +102,7 @@ class Contents(Answer, msgspec.Struct, frozen=True):
     models: list[dict[str, Any]]
     plans: list[dict[str, Any]]
     missing: int | None
-    """Planned runs that are missing, each counted once; None where the plans name too many to count."""
+    """Planned runs that are missing, each counted once; None if the plans name too many to count."""
 
     provenance: "Provenance"
     not_observed: tuple["Unobserved", ...] = ()

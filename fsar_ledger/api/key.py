@@ -162,7 +162,7 @@ def checkpoint_of(file: str | PathLike[str] | None) -> "Checkpoint | None":
 
 
 def root_of(text: str | None) -> str | None:
-    """Return the root in hex, if one was given. Raises: UsageError if it is no hash."""
+    """Return the root in hex, if one was given. Raises: UsageError if it is not a hash."""
     if text is not None and not re.fullmatch("[0-9a-fA-F]{64}", text):
         raise UsageError(f"{option('root', f'{text:.80}')}: found no hash, expected 64 hexadecimal digits")
     return None if text is None else text.lower()

@@ -75,7 +75,7 @@ class RecoverResult(Answer, msgspec.Struct, frozen=True):
         yield printable.lines(*lines)
 
     def _trusted(self) -> Iterator[str]:
-        """Yield what can be trusted, and who vouches for it."""
+        """Yield what can be trusted, and on whose authority."""
         result, head = self.found, self.found.head
         if head.commits:
             last = f"commit{'s 0 to' if head.commits > 1 else ''} {head.commits - 1:,}"

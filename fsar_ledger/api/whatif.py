@@ -251,7 +251,7 @@ def fork(ledger: "Ledger", run: Run, changes: Texts) -> Fork:
     or the names of `.toml` files; none gives a null fork.
 
     Raises:
-        UsageError: There is no such run, it cannot be made again, or a change is none or has no effect.
+        UsageError: There is no such run, it cannot be made again, or a change is invalid or has no effect.
     """
     from fsar_ledger.analysis.whatif import changes_of, fork_of
     from fsar_ledger.events.fleet import RunStarted

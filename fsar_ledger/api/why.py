@@ -43,7 +43,7 @@ class Why(Answer, msgspec.Struct, frozen=True, kw_only=True):
             command from outside or event 0.
         made: How the event came about, then the events that it rests on, as deep as requested.
         lines: Every event that is named, in the words of `log`, by seq.
-        provenance: The head that the answer holds for.
+        provenance: The provenance of the answer.
     """
 
     run: str

@@ -40,7 +40,7 @@ def show(text: SafeText, *, raw: bool = False) -> None:
 
 
 def has_keys() -> bool:
-    """Return whether stdin and stdout are a terminal, for keys and for a screen."""
+    """Return whether there are keys and a screen: stdin and stdout are both a terminal."""
     streams = (sys.stdin, sys.stdout)
     return all(stream is not None and stream.isatty() for stream in streams)
 
