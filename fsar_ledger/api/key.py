@@ -147,7 +147,7 @@ OWN_CHECKPOINT = (
 
 
 def is_own_checkpoint(anchor: "Anchor | None", ledger: Path) -> bool:
-    """Return whether the anchor is the file `checkpoint` of this very ledger, by whatever path."""
+    """Return whether the anchor is the file `checkpoint` of this ledger itself, by any path."""
     from fsar_ledger.ledger.store.paths import CHECKPOINT
 
     with suppress(OSError):

@@ -94,7 +94,7 @@ class Principals:
         return principal if is_valid else None
 
     def _state(self) -> tuple[int, ...]:
-        """Return what is another one after any change: a copy may keep the time at which the file was written last."""
+        """Return a value that differs after any change: a copy may keep the time of the last write."""
         try:
             status = self._path.stat()
         except OSError:
