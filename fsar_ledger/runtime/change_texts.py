@@ -53,7 +53,7 @@ from .changes import (
 from .live import command_given
 
 COMMAND = "command:"
-"""What the names of commands from outside begin with."""
+"""The prefix of the names of commands from outside."""
 MAX_TEXT = 10_000
 """Characters of a change; the longest, a task with its steps, has some hundreds."""
 MAX_SECONDS = 9_007_199_254
@@ -71,11 +71,11 @@ FORMS = {
     "architecture": "architecture NAME, as in `architecture cfc`",
     "without": "without MECHANISM, as in `without shared-registry`",
 }
-"""How each change is written."""
+"""The form of each change."""
 
 
 _WITH_BEFORE = ("set", "architecture", "without")
-"""The changes that say what held before."""
+"""The changes that state the previous value."""
 
 
 class _File(msgspec.Struct, forbid_unknown_fields=True):
@@ -88,16 +88,18 @@ def read_changes(path: Path) -> Changes:
     """Return the changes in a TOML file, whose `changes` is a list of texts or of tables.
 
     Raises:
-        UsageError: The file cannot be read, or a change is not one; with the line.
+        UsageError: The file cannot be read, or a change is invalid; with the line.
     """
-    found, text = read_design(path, _File)
+    design, text = read_design(path, _File)
     changes: Changes = ()
-    for number, one in enumerate(found.changes):
+    for number, entry in enumerate(design.changes):
         try:
-            changes += parsed([one if isinstance(one, str) else str(msgspec.convert(one, AnyChange))])
+            changes += parsed([entry if isinstance(entry, str) else str(msgspec.convert(entry, AnyChange))])
         except msgspec.ValidationError as error:
-            what = printable.value(str(error).partition(" - at ")[0])
-            raise UsageError(f"{at_line(str(path), text, ('changes', number))}: {what}; see docs/replay.md") from error
+            message = printable.value(str(error).partition(" - at ")[0])
+            raise UsageError(
+                f"{at_line(str(path), text, ('changes', number))}: {message}; see docs/replay.md"
+            ) from error
         except UsageError as error:
             raise UsageError(f"{at_line(str(path), text, ('changes', number))}: {error}") from error
     return changes
@@ -118,11 +120,13 @@ def _parsed(text: str) -> Changes:
             f"{', '.join(FORMS)}"
         )
     try:
-        found = _PARSERS[verb](rest.strip())
-        changes = found if isinstance(found, tuple) else (found,)
+        result = _PARSERS[verb](rest.strip())
+        changes = result if isinstance(result, tuple) else (result,)
         if before:
             changes = (msgspec.structs.replace(changes[0], before=before),)
-        return tuple(msgspec.convert(msgspec.to_builtins(one), AnyChange) for one in changes)  # checks every field
+        return tuple(
+            msgspec.convert(msgspec.to_builtins(change), AnyChange) for change in changes
+        )  # checks every field
     except (ValueError, TypeError, msgspec.MsgspecError) as error:
         found_text = _told(error)
         raise UsageError(f"change {printable.value(text)}: {found_text}expected {FORMS[verb]}") from error
@@ -135,7 +139,7 @@ def _told(error: Exception) -> str:
 
 
 class _Unfit(ValueError):
-    """What was found in the text of a change."""
+    """An invalid part of the text of a change."""
 
 
 def seconds_of(text: str) -> float:
@@ -143,14 +147,14 @@ def seconds_of(text: str) -> float:
     is_milli = text.endswith("ms")
     number = text.removesuffix("ms" if is_milli else "s")
     try:
-        found = Decimal(number) / (1_000 if is_milli else 1)
+        seconds = Decimal(number) / (1_000 if is_milli else 1)
     except ArithmeticError as error:
         raise _Unfit(f"found {printable.value(text)} where a time belongs") from error
     if "e" in number.lower():
         raise _Unfit(f"found {printable.value(text)} where a time in plain digits belongs, as 1000s")
-    if not found.is_finite() or not 0 <= found <= MAX_SECONDS:
+    if not seconds.is_finite() or not 0 <= seconds <= MAX_SECONDS:
         raise _Unfit(f"found {printable.value(text)} where a time of 0 to {MAX_SECONDS:,} s belongs")
-    return float(found)
+    return float(seconds)
 
 
 def _robot(text: str) -> Robot:
@@ -168,13 +172,13 @@ def _words(text: str, least: int, most: int) -> list[str]:
 
 
 def _with_from(text: str) -> tuple[str, float | None]:
-    """Return the text without the time from which it holds, and that time."""
+    """Split off the time from which a change holds; return the rest and that time, if any."""
     rest, marker, when = text.rpartition(" from ")
     return (rest, seconds_of(when.strip())) if marker else (text, None)
 
 
 def _with_options(text: str, plain: int, names: Sequence[str]) -> tuple[list[str], dict[str, str], float]:
-    """Return the plain words, the options NAME=VALUE, and the time from which it holds."""
+    """Return the plain words, the options NAME=VALUE, and the time from which the change holds."""
     rest, from_s = _with_from(text)
     words = rest.split()
     options = dict(word.split("=", 1) for word in words[plain:] if "=" in word)
@@ -245,33 +249,33 @@ def _add(text: str) -> Add | tuple[Add, ...]:
     first, _, rest = text.partition(" ")
     if ":" in first:
         return _added(first, rest.split())
-    if isinstance(found := msgspec.json.decode(rest), dict) and "command" in found:
+    if isinstance(fields := msgspec.json.decode(rest), dict) and "command" in fields:
         return Add(seconds_of(first), fact_text(fact_of(rest)))
     return Add(seconds_of(first), _checked(msgspec.json.decode(_newest(rest), type=WorldEvent)))
 
 
 def fact_text(event: Event) -> str:
-    """Write a fact of the world, or a command of a live run, as `add` takes it."""
+    """Format a fact of the world, or a command of a live run, as `add` takes it."""
     if isinstance(event, CommandGiven):
-        about = {"command": event.command, "by": event.issued_by, **({} if event.key is None else {"key": event.key})}
-        return msgspec.json.encode(about | msgspec.json.decode(event.parameters)).decode()
+        fields = {"command": event.command, "by": event.issued_by, **({} if event.key is None else {"key": event.key})}
+        return msgspec.json.encode(fields | msgspec.json.decode(event.parameters)).decode()
     return msgspec.json.encode(event).decode()
 
 
 def fact_of(text: str) -> Event:
-    """Return the fact or command that `fact_text` wrote. Raises: msgspec.MsgspecError; UsageError for no command."""
+    """Parse the output of `fact_text`. Raises: msgspec.MsgspecError; UsageError for an invalid command."""
     fields = msgspec.json.decode(text)
     if isinstance(fields, dict) and "command" in fields:
-        name, by, key = (fields.pop(one, None) for one in ("command", "by", "key"))
+        name, by, key = (fields.pop(field, None) for field in ("command", "by", "key"))
         if not isinstance(name, str) or not isinstance(by, str) or not isinstance(key, str | None):
             raise _Unfit("found a command without texts for `command` and `by`")
         return command_given(name, by, fields, key)
-    found: Event = msgspec.json.decode(text, type=WorldEvent)
-    return found
+    fact: Event = msgspec.json.decode(text, type=WorldEvent)
+    return fact
 
 
 def altered(command: CommandGiven, change: Answer) -> CommandGiven:
-    """Return the command with the field that the change gives it. Raises: UsageError, MsgspecError for none of its."""
+    """Return the command with the change's field set. Raises: UsageError, MsgspecError if it is invalid."""
     name, _, text = change.answer.partition("=")
     try:
         value = msgspec.json.decode(text)
@@ -280,73 +284,73 @@ def altered(command: CommandGiven, change: Answer) -> CommandGiven:
     fields = {**msgspec.json.decode(command.parameters), name: value}
     try:
         return command_given(command.command, command.issued_by, fields, command.key, command.source_time_us)
-    except UsageError as found:
-        raise UsageError(f"change {change}: {found}") from found
+    except UsageError as error:
+        raise UsageError(f"change {change}: {error}") from error
 
 
 def _newest(text: str) -> str:
-    """Return the JSON with the newest version of its type where it names none."""
-    found = msgspec.json.decode(text)
+    """Return the JSON, with the newest version of its type if it names none."""
+    fields = msgspec.json.decode(text)
     tags = {kind.__name__: kind.__struct_config__.tag for kind in get_args(WorldEvent)}
-    if not isinstance(found, dict):
+    if not isinstance(fields, dict):
         raise _Unfit("found JSON that is no object")
-    name = found.get("type")
-    return msgspec.json.encode({**found, "type": tags.get(name, name)}).decode()
+    name = fields.get("type")
+    return msgspec.json.encode({**fields, "type": tags.get(name, name)}).decode()
 
 
-def _added(named: str, words: list[str]) -> tuple[Add, ...]:
+def _added(name: str, words: list[str]) -> tuple[Add, ...]:
     """Return the facts that `add KIND:WHO TIME [for TIME] [WORD]` is short for: a beginning and an end, or one."""
-    kind, _, who = named.partition(":")
+    kind, _, who = name.partition(":")
     if kind not in SHORT or not words:
         hint = printable.did_you_mean(kind, SHORT) or ";"
         raise _Unfit(f"found {printable.value(kind)}{hint} known are {', '.join(SHORT)}")
     at_s, rest = seconds_of(words[0]), words[1:]
     for_s = seconds_of(rest[1]) if rest[:1] == ["for"] and len(rest) > 1 else None
-    word = [*rest[2:]] if for_s is not None else rest
+    extra = [*rest[2:]] if for_s is not None else rest
     is_spell, make = SHORT[kind]
-    if (for_s is None) == is_spell or len(word) > 1:
+    if (for_s is None) == is_spell or len(extra) > 1:
         raise _Unfit(f"{kind} takes {'a length: for TIME' if is_spell else 'no length'}, and at most one more word")
     lasting = "" if for_s is None else f"-for-{seconds_text(for_s)}"  # what begins together need not end together
-    events = make(who, f"{seconds_text(at_s)}{lasting}", *word)
+    events = make(who, f"{seconds_text(at_s)}{lasting}", *extra)
     times = (at_s,) if for_s is None else (at_s, at_s + for_s)
     return tuple(Add(time_s, _checked(event)) for time_s, event in zip(times, events, strict=True))
 
 
 def _checked(event: Event) -> str:
-    """Return the text of a fact, each field of which it may have. Raises: msgspec.MsgspecError, _Unfit."""
+    """Return the text of a fact after checking each field. Raises: msgspec.MsgspecError, _Unfit."""
     text = fact_text(event)
-    found = fact_of(text)
-    if isinstance(found, PolicyWindowOpened) and found.outcome == "allow":
+    fact = fact_of(text)
+    if isinstance(fact, PolicyWindowOpened) and fact.outcome == "allow":
         raise _Unfit("found a window that allows, where one restricts (review, deny)")
-    if isinstance(found, PeersMet) and found.robot == found.peer:
-        raise _Unfit(f"found a meeting of {printable.value(found.robot)} with itself, where two robots belong")
+    if isinstance(fact, PeersMet) and fact.robot == fact.peer:
+        raise _Unfit(f"found a meeting of {printable.value(fact.robot)} with itself, where two robots belong")
     return text
 
 
-def _window(who: str, at: str, outcome: str = "deny") -> tuple[Event, ...]:
-    scope, _, robot = who.partition("/")
-    named, window = _robot(robot), f"{who}/at-{at}"
-    opened = PolicyWindowOpened(robot=named, scope=scope, window=window, outcome=outcome)  # type: ignore[arg-type]
-    return opened, PolicyWindowClosed(robot=named, scope=scope, window=window)  # type: ignore[arg-type]
+def _window(who: str, when: str, outcome: str = "deny") -> tuple[Event, ...]:
+    scope, _, name = who.partition("/")
+    robot, window = _robot(name), f"{who}/at-{when}"
+    opened = PolicyWindowOpened(robot=robot, scope=scope, window=window, outcome=outcome)  # type: ignore[arg-type]
+    return opened, PolicyWindowClosed(robot=robot, scope=scope, window=window)  # type: ignore[arg-type]
 
 
-def _in_the_way(kind: str, who: str, at: str) -> tuple[Event, ...]:
-    robot, obstruction = _robot(who), f"{kind}/{who}/at-{at}"
+def _in_the_way(kind: str, who: str, when: str) -> tuple[Event, ...]:
+    robot, obstruction = _robot(who), f"{kind}/{who}/at-{when}"
     return ObstructionAppeared(robot, obstruction), ObstructionCleared(robot, obstruction)
 
 
-def _of_robot(kinds: tuple[Callable[..., Event], ...], who: str, _at: str, *word: str) -> tuple[Event, ...]:
+def _of_robot(kinds: tuple[Callable[..., Event], ...], who: str, _when: str, *word: str) -> tuple[Event, ...]:
     return tuple(kind(_robot(who), *word) for kind in kinds)
 
 
-def _absence(who: str, _at: str) -> tuple[Event, ...]:
+def _absence(who: str, _when: str) -> tuple[Event, ...]:
     supervisor = local_supervisor(_robot(who.removeprefix("supervisor/")))
     return SupervisorLeft(supervisor), SupervisorReturned(supervisor)
 
 
-def _encounter(who: str, _at: str) -> tuple[Event, ...]:
-    one, _, other = who.partition("/")
-    return (PeersMet(_robot(one), _robot(other)),)
+def _encounter(who: str, _when: str) -> tuple[Event, ...]:
+    robot, _, peer = who.partition("/")
+    return (PeersMet(_robot(robot), _robot(peer)),)
 
 
 SHORT: dict[str, tuple[bool, Callable[..., tuple[Event, ...]]]] = {
@@ -362,7 +366,7 @@ SHORT: dict[str, tuple[bool, Callable[..., tuple[Event, ...]]]] = {
     "routine": (False, partial(_of_robot, (RoutineDue,))),
     "encounter": (False, _encounter),
 }
-"""By the kind of a fact that has a short form: whether it lasts, and what makes it."""
+"""By kind of fact with a short form: whether it lasts, and the function that makes its events."""
 
 _PARSERS: dict[str, Callable[[str], AnyChange | tuple[Add, ...]]] = {
     "drop": partial(_one_word, Drop),

@@ -59,7 +59,7 @@ from .ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Fact, World
 from .world import FOREVER_US, Draws
 
 FactPositions = dict[str, tuple[int, ...]]
-"""By name, the places of its facts among all facts of the run: one, or a beginning and an end."""
+"""By name, the indices of its facts among all facts of the run: one, or a beginning and an end."""
 
 
 def _short(principal: str) -> str:
@@ -74,7 +74,7 @@ _WHOLE: dict[type[Event], Callable[[Any], str]] = {
     TaskArrived: lambda fact: f"task:{fact.task_id}",
     OutsiderRequestInjected: lambda fact: f"outsider:{fact.task_id}",
 }
-"""Facts that have a name of their own; an end has that of its beginning."""
+"""Facts that have a name of their own; an end has the name of its beginning."""
 _COUNTED: dict[type[Event], Callable[[Any], str]] = {
     SyncPhaseSet: lambda _: "sync:",
     SnapshotPhaseSet: lambda fact: f"snapshot:{_short(fact.robot)}/",
@@ -88,21 +88,21 @@ _COUNTED: dict[type[Event], Callable[[Any], str]] = {
     PeersMet: lambda fact: f"encounter:{_short(fact.robot)}/{_short(fact.peer)}/",
     CommandGiven: lambda fact: f"command:{fact.command}/",
 }
-"""Facts that are counted: what their names begin with."""
+"""Facts that are counted, with the prefix of their names."""
 _ENDS: dict[type[Event], Callable[[Any], str]] = {
     RobotCameBack: lambda fact: f"off:{_short(fact.robot)}/",
     LinkCameUp: lambda fact: f"link:{_short(fact.robot)}/",
     SupervisorReturned: lambda fact: f"absence:{_short(fact.supervisor)}/",
 }
-"""Ends of the last counted spell: what the names of those begin with."""
+"""Ends of the last counted spell, with the prefix of its name."""
 
 
 @lru_cache(maxsize=64)
 def facts_by_name(facts: tuple[Fact, ...]) -> FactPositions:
-    """Return the places of the facts by name; that the run was cut has none, since it decides nothing."""
-    found: dict[str, tuple[int, ...]] = {}
+    """Return the indices of the facts by name; cuts of the run have no name, since they decide nothing."""
+    indices: dict[str, tuple[int, ...]] = {}
     counts: Counter[str] = Counter()
-    for at, (_, fact) in enumerate(facts):
+    for index, (_, fact) in enumerate(facts):
         kind = type(fact)
         if kind in (RunContinued, IsolationBegan):
             continue
@@ -115,16 +115,16 @@ def facts_by_name(facts: tuple[Fact, ...]) -> FactPositions:
         else:
             stem = _ENDS[kind](fact)
             name = f"{stem}{max(0, counts[stem] - 1)}"
-        found[name] = (*found.get(name, ()), at)
-    return found
+        indices[name] = (*indices.get(name, ()), index)
+    return indices
 
 
 def united(facts: tuple[Fact, ...], placed: Sequence[Event]) -> tuple[Fact, ...]:
-    """Return the facts, in which nobody of whom a change places a spell is away twice at a time.
+    """Return the facts with overlapping spells merged, for the spells that begin or end with a placed fact.
 
-    Spells that overlap are one, from the first beginning to the last end. `placed` are the facts that changes place.
+    A merged spell lasts from the first beginning to the last end. `placed` are the facts that changes add or move.
     """
-    left, depths = list[Fact](), dict.fromkeys(filter(None, map(_spell, placed)), 0)
+    kept, depths = list[Fact](), dict.fromkeys(filter(None, map(_spell, placed)), 0)
     for time_us, fact in facts:
         spell = _spell(fact)
         if spell in depths:
@@ -133,12 +133,12 @@ def united(facts: tuple[Fact, ...], placed: Sequence[Event]) -> tuple[Fact, ...]
             depths[spell] = max(0, depth - 1) if is_end else depth + 1
             if depth > is_end:
                 continue
-        left.append((time_us, fact))
-    return tuple(left)
+        kept.append((time_us, fact))
+    return tuple(kept)
 
 
 def _spell(fact: Event) -> str | None:
-    """Return whose spells the fact begins or ends: what their names begin with."""
+    """Return the name prefix of the spells that the fact begins or ends; None for other facts."""
     if type(fact) in _ENDS:
         return _ENDS[type(fact)](fact)
     return _COUNTED[type(fact)](fact) if isinstance(fact, RobotWentOff | LinkWentDown | SupervisorLeft) else None
@@ -147,28 +147,30 @@ def _spell(fact: Event) -> str | None:
 def continued(
     before: tuple[Fact, ...], after: tuple[Fact, ...], from_us: int, *, numbers_again: bool = False
 ) -> tuple[Fact, ...]:
-    """Return the happenings of one world that begin before this time, and then those of the other, each whole.
+    """Return the facts of one world that begin before this time, then those of the other, each with its end.
 
-    What happens again and again does so from then on as often as in the other world, and is numbered on; what happens
-    once does not happen twice, and who is away does not leave. With `numbers_again`, all that the other world has under
-    a number of before is left out, as in releases to 0.16.
+    Recurring facts follow the other world from then on, with their numbering continued; facts that happen once are not
+    repeated, and no spell begins during a spell of the same principal. With `numbers_again`, facts of the other world
+    whose number is already used are left out, as in releases up to 0.16.
     """
-    firsts, seconds = facts_by_name(before), facts_by_name(after)
-    kept = {name: places for name, places in firsts.items() if before[places[0]][0] < from_us}
-    facts = [before[at] for places in kept.values() for at in places]
-    until_us = {_spell(fact): time_us for time_us, fact in sorted(facts, key=lambda one: one[0]) if _spell(fact)}
+    first_indices, second_indices = facts_by_name(before), facts_by_name(after)
+    kept = {name: indices for name, indices in first_indices.items() if before[indices[0]][0] < from_us}
+    facts = [before[index] for indices in kept.values() for index in indices]
+    until_us = {_spell(fact): time_us for time_us, fact in sorted(facts, key=lambda entry: entry[0]) if _spell(fact)}
     later = list[str]()
-    for name, (first, *_) in seconds.items():
+    for name, (first, *_) in second_indices.items():
         begins_us, fact = after[first]
         is_again = name in kept and (numbers_again or _happens_once(fact))
         is_away = not numbers_again and begins_us <= until_us.get(_spell(fact), 0)
         if begins_us >= from_us and not is_again and not is_away:
             later.append(name)
     numbers = {} if numbers_again else _numbered_on(kept, later)
-    facts += [(after[at][0], _numbered(after[at][1], numbers)) for name in later for at in seconds[name]]
+    facts += [
+        (after[index][0], _numbered(after[index][1], numbers)) for name in later for index in second_indices[name]
+    ]
     apart: list[Fact] = []
     last_us = 0
-    for time_us, fact in sorted(facts, key=lambda one: one[0]):
+    for time_us, fact in sorted(facts, key=lambda entry: entry[0]):
         last_us = max(time_us, last_us + 1)
         apart.append((last_us, fact))
     return tuple(apart)
@@ -180,7 +182,7 @@ def _happens_once(fact: Event) -> bool:
 
 
 def _numbered_on(kept: Iterable[str], later: Sequence[str]) -> dict[str, str]:
-    """Return the names under which facts with a name of their own go on, by those that are used before."""
+    """Return the new names of the later facts whose numbering continues after the kept ones, by their old names."""
     used, first = dict[str, int](), dict[str, int]()
     for name in kept:
         stem, _, number = name.rpartition("/")
@@ -212,7 +214,7 @@ def _numbered(fact: Event, numbers: Mapping[str, str]) -> Event:
 
 
 def matching_names(pattern: str, names: Sequence[str] | FactPositions) -> list[str]:
-    """Return the names that a pattern with `*` means, in their order; the name alone where it has none."""
+    """Return the names that a pattern with `*` matches, in their order; without `*`, the name itself if it is known."""
     if "*" not in pattern:
         return [pattern] if pattern in names else []
     plain = plain_pattern(pattern)
@@ -248,12 +250,12 @@ class Question(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """Return what kind of question it is: the name up to the colon."""
+        """Return the kind of the question: its name up to the colon."""
         return self.name.partition(":")[0]
 
     @property
     def text(self) -> str:
-        """Return the answer as `answer` takes it."""
+        """Return the answer as the change `answer` takes it."""
         words = WORDS.get(self.kind)
         if words is not None:
             return next(word for word, answer in words.items() if answer == self.answer)
@@ -274,7 +276,7 @@ def question_name(ask: Ask) -> str:
 
 
 def answer_of(kind: str, text: str) -> int | None:
-    """Return the answer that this text gives to a question of this kind; None if it gives none.
+    """Return the answer that this text gives to a question of this kind; None if it is not an answer.
 
     Units: microseconds for lengths.
     """
@@ -288,9 +290,9 @@ def answer_of(kind: str, text: str) -> int | None:
 
 
 class EditedEnvironment:
-    """An environment with other facts, and with these answers to the questions that they name.
+    """An environment with edited facts and edited answers to the questions that changes name.
 
-    `used` are the questions that were answered otherwise so far, as the changes name them. `call:2` is the second call
+    `used` are the questions answered differently so far, as the changes name them. `call:2` is the second call
     that the run puts before a supervisor, counted when it asks how long the answer takes.
     """
 
@@ -301,20 +303,20 @@ class EditedEnvironment:
         answers: Sequence[Answer],
         draws: Callable[[int], Draws] | None = None,
     ) -> None:
-        """Edit an environment; `draws` are by seed those of the model that may answer for a live fleet."""
+        """Edit an environment; `draws` returns, by seed, the model's draws that may answer for a live fleet."""
         self.facts = facts
         self.latest_us = environment.latest_us
         self._draws = draws
         self.used: set[str] = set()
         self._environment = environment
-        self._exact = {one.question: one.answer for one in answers if "*" not in one.question}
-        self._patterns = [(plain_pattern(one.question), one) for one in answers if "*" in one.question]
+        self._exact = {answer.question: answer.answer for answer in answers if "*" not in answer.question}
+        self._patterns = [(plain_pattern(answer.question), answer) for answer in answers if "*" in answer.question]
         self._calls = 0
         self._asked_as: dict[str, str] = {}
         self.answer = self._edited if answers else environment.answer
 
     def use_environment(self, environment: World) -> None:
-        """From now on, all else is answered by this environment."""
+        """Replace the environment that answers all other questions."""
         self._environment = environment
         if not self._exact and not self._patterns:
             self.answer = environment.answer
@@ -333,7 +335,7 @@ class EditedEnvironment:
         return answer
 
     def answer_anew(self, name: str, ask: Ask) -> int | None:
-        """Return the changes' answer to what the record of a live run does not answer, perhaps drawn; None: none.
+        """Return the changes' answer, given or drawn, to a question that a live run's record does not answer, if any.
 
         Raises:
             UsageError: The model has no law for it.
@@ -351,7 +353,7 @@ class EditedEnvironment:
             raise UsageError(f"answer {asked_as} {text}: the model does not say how long {ask.what} takes") from error
 
     def _said(self, name: str, key: str) -> tuple[str, str | None]:
-        """Return how the changes name this question, and the answer that they give; None: they give none."""
+        """Return the name that the changes use for this question, and their answer; None: they give none."""
         kind = name.partition(":")[0]
         if kind == RESPONSE:
             self._calls += 1
@@ -361,14 +363,14 @@ class EditedEnvironment:
                     self._asked_as[f"{numbered}:{key}"] = f"{numbered}:{self._calls}"
         asked_as, text = self._asked_as.get(name, name), self._exact.get(name)
         if text is None:
-            pattern = next((one for pattern, one in self._patterns if fnmatchcase(name, pattern)), None)
-            if pattern is not None:
-                asked_as, text = pattern.question, pattern.answer
+            match = next((answer for pattern, answer in self._patterns if fnmatchcase(name, pattern)), None)
+            if match is not None:
+                asked_as, text = match.question, match.answer
         return asked_as, text
 
 
 class QuestionRecorder:
-    """An environment that notes what is asked and answered, in order."""
+    """An environment that records questions and answers, in order."""
 
     def __init__(self, environment: World) -> None:
         self.facts: tuple[Fact, ...] = tuple(environment.facts)
@@ -377,7 +379,7 @@ class QuestionRecorder:
         self._answer = environment.answer
 
     def answer(self, ask: Ask) -> int:
-        """Answer as the environment does, and note it."""
+        """Return the environment's answer, and record it."""
         answer = self._answer(ask)
         name = name_of(ask)
         if name is not None:
@@ -386,6 +388,6 @@ class QuestionRecorder:
 
 
 def numbers_of_calls(asked: Sequence[Question]) -> dict[str, int]:
-    """Return the number of each call by its name, from 1: the call of that number is `call:1` for short."""
-    names = [CALL + one.name.removeprefix(RESPONSE) for one in asked if one.kind == RESPONSE]
+    """Return the number of each call by its name, from 1; `call:1` is short for the call with that number."""
+    names = [CALL + question.name.removeprefix(RESPONSE) for question in asked if question.kind == RESPONSE]
     return {name: number for number, name in reversed([*enumerate(names, start=1)])}

@@ -165,17 +165,16 @@ class Without(Change, frozen=True):
 
 AnyChange = Drop | Move | Add | Answer | Rule | Trust | Budget | Density | Set | Architecture | Without
 OfFacts = Drop | Move | Add
-"""Changes of what the world does by itself."""
+"""Changes of the world's facts."""
 Commanded = Rule | Trust | Budget | Density
 """Changes that a supervisor commands."""
 Changes = tuple[AnyChange, ...]
 
 Rules = Literal["now", "to 0.16", "to 0.15"]
-"""By release, what changes mean.
+"""The meaning of changes, by release.
 
-To 0.16, a constant that holds from a time on takes away what the other world has under a number that is already used,
-and who is away twice at a time is back when the first spell has ended. To 0.15, each change names what those before it
-left, too.
+Up to 0.16, a constant set from a time on drops the facts of the other world whose number is already used, and of two
+overlapping spells the first end counts. Up to 0.15, each change also names what the changes before it left.
 """
 NOW: Rules = "now"
 TO_0_16: Rules = "to 0.16"
@@ -185,13 +184,13 @@ RULES = (NOW, TO_0_16, TO_0_15)
 NEVER = "never"
 """The answer that does not come before the run ends."""
 MODEL = "model:"
-"""What a seed comes after, for the answers that the model draws where the record of a live run has none."""
+"""The prefix of a seed, for the answers that the model draws where the record of a live run has none."""
 
 Verb = Literal["drop", "move", "add", "answer", "rule", "trust", "budget", "density", "set", "architecture", "without"]
 
 
 def seconds_text(seconds: float) -> str:
-    """Write a time so that `seconds_of` reads the same: 46.6s. Raises: UsageError for no finite one."""
+    """Format a time so that `seconds_of` reads the same: 46.6s. Raises: UsageError if it is not finite."""
     if not isfinite(seconds):
         raise UsageError(f"change: found {seconds} where a time belongs, expected seconds")
     return f"{Decimal(round(seconds * 1_000_000)) / 1_000_000:f}s"
@@ -203,7 +202,7 @@ def microseconds_of(seconds: float) -> int:
 
 
 def number_text(value: float | int) -> str:
-    """Write the value of a constant as JSON; whole numbers without a fraction."""
+    """Format the value of a constant as JSON; whole numbers without a fraction."""
     return str(int(value)) if float(value).is_integer() and abs(value) < 2**53 else repr(value)
 
 
@@ -211,8 +210,8 @@ def _from(seconds: float) -> str:
     return f" from {seconds_text(seconds)}" if seconds else ""
 
 
-def _options(**given: str | None) -> str:
-    return "".join(f" {name}={value}" for name, value in given.items() if value is not None)
+def _options(**options: str | None) -> str:
+    return "".join(f" {name}={value}" for name, value in options.items() if value is not None)
 
 
 def _instead(before: str | None) -> str:

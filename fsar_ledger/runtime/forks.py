@@ -1,6 +1,6 @@
-"""Forks: a run that repeats another one up to a change, and continues under the same draws.
+"""Forks: runs that repeat another run up to a change and continue under the same draws.
 
-Its environment is that of the other run with some facts and answers edited. A live run forks from its commands.
+A fork's environment is its base's with some facts and answers edited. A live run forks from its commands.
 """
 
 from bisect import bisect_right
@@ -60,7 +60,7 @@ from .simulation import draws_of, environment_of, fleet_founding, founding_of, h
 from .world import Draws, SimulatedEnvironment
 
 _Placed = tuple[int, Event, int | None]
-"""A fact in an edited world: when, what, and its place among the facts as they were, None if it was added."""
+"""A fact in an edited world: its time, event, and index among the unedited facts, or None if it was added."""
 
 
 def edited_facts(
@@ -73,32 +73,32 @@ def edited_facts(
 ) -> tuple[Fact, ...]:
     """Return the facts with these changes, in order of time, no two at the same microsecond and none after `last_us`.
 
-    Names are those of the facts as given, whatever the changes before do to them; with `counts_anew`, of what these
-    have left. A name that no fact has changes nothing. With `unites`, who is away twice at a time, by these changes,
-    is back when both have ended.
+    Names are resolved in the facts as given; with `counts_anew`, in what the preceding changes have left. A name that
+    no fact has changes nothing. With `unites`, spells of one principal that overlap through these changes end when
+    both have ended.
 
     Raises:
         UsageError: A fact would happen before the run begins, or after it has ended.
     """
-    found, names = _placed(facts), facts_by_name(tuple(facts))
+    placed, names = _placed(facts), facts_by_name(tuple(facts))
     for change in changes:
         if counts_anew:
-            left = _unplaced(found)
-            found, names = _placed(left), facts_by_name(left)
-        found = _changed(found, change, names, last_us)
-    return united(_unplaced(found), _placed_by(changes, facts)) if unites else _unplaced(found)
+            remaining = _unplaced(placed)
+            placed, names = _placed(remaining), facts_by_name(remaining)
+        placed = _changed(placed, change, names, last_us)
+    return united(_unplaced(placed), _placed_by(changes, facts)) if unites else _unplaced(placed)
 
 
 def _placed_by(changes: Sequence[OfFacts], facts: Sequence[Fact]) -> list[Event]:
     """Return the facts that the changes add or move."""
     names = facts_by_name(tuple(facts))
-    moved = [name for one in changes if isinstance(one, Move) for name in matching_names(one.fact, names)]
-    added = [fact_of(one.event) for one in changes if isinstance(one, Add)]
-    return [*added, *(facts[at][1] for name in moved for at in names[name])]
+    moved = [name for change in changes if isinstance(change, Move) for name in matching_names(change.fact, names)]
+    added = [fact_of(change.event) for change in changes if isinstance(change, Add)]
+    return [*added, *(facts[index][1] for name in moved for index in names[name])]
 
 
 def _placed(facts: Sequence[Fact]) -> list[_Placed]:
-    return [(time_us, fact, at) for at, (time_us, fact) in enumerate(facts)]
+    return [(time_us, fact, index) for index, (time_us, fact) in enumerate(facts)]
 
 
 def _unplaced(facts: list[_Placed]) -> tuple[Fact, ...]:
@@ -108,13 +108,15 @@ def _unplaced(facts: list[_Placed]) -> tuple[Fact, ...]:
 def _changed(facts: list[_Placed], change: OfFacts, names: FactPositions, last_us: int) -> list[_Placed]:
     if isinstance(change, Add):
         return _apart(facts, [(_within(change, microseconds_of(change.at_s), last_us), fact_of(change.event), None)])
-    places = {at for name in matching_names(change.fact, names) for at in names[name]}
-    left = [one for one in facts if one[2] not in places]
+    indices = {index for name in matching_names(change.fact, names) for index in names[name]}
+    remaining = [entry for entry in facts if entry[2] not in indices]
     if isinstance(change, Drop):
-        return left
+        return remaining
     by_us = microseconds_of(change.by_s)
-    moved = [one for one in facts if one[2] in places]
-    return _apart(left, [(_within(change, time_us + by_us, last_us), fact, at) for time_us, fact, at in moved])
+    moved = [entry for entry in facts if entry[2] in indices]
+    return _apart(
+        remaining, [(_within(change, time_us + by_us, last_us), fact, index) for time_us, fact, index in moved]
+    )
 
 
 def _within(change: Add | Move, time_us: int, last_us: int) -> int:
@@ -126,23 +128,23 @@ def _within(change: Add | Move, time_us: int, last_us: int) -> int:
     return time_us
 
 
-def _apart(facts: list[_Placed], more: list[_Placed]) -> list[_Placed]:
-    """Return all facts in order of time; those of `more` move to the next free microsecond."""
+def _apart(facts: list[_Placed], inserted: list[_Placed]) -> list[_Placed]:
+    """Return all facts in order of time; the inserted ones move to the next free microsecond."""
     taken = {time_us for time_us, *_ in facts}
     placed: list[_Placed] = []
-    for time_us, fact, at in more:
+    for time_us, fact, index in inserted:
         while time_us in taken:
             time_us += 1
         taken.add(time_us)
-        placed.append((time_us, fact, at))
-    return sorted((*facts, *placed), key=lambda one: one[0])
+        placed.append((time_us, fact, index))
+    return sorted((*facts, *placed), key=lambda entry: entry[0])
 
 
 class Fork(NamedTuple):
-    """A fork: its record, the first seq at which it differs from its base, and the questions it answered otherwise.
+    """A fork: its record, the first seq at which it differs from its base, and the questions it answered differently.
 
-    `parts_at` does not count event 0, which is never the same; None: the runs are the same. Of a live run, `end` says
-    where the fork ends before all has happened, and `left_out` the commands on record that nobody would have given.
+    `parts_at` ignores event 0, which always differs; None: the runs are equal. For a live run, `end` is where the fork
+    ends early, and `left_out` are the recorded commands that would not have been given.
     """
 
     record: LedgerRun
@@ -153,14 +155,14 @@ class Fork(NamedTuple):
 
 
 def world_of(recipe: Recipe) -> SimulatedEnvironment:
-    """Return the world of the recipe without its changes; of a live run, its commands and the model's draws."""
+    """Return the world of the recipe without its changes; for a live run, its commands and the model's draws."""
     if recipe.live is not None:
         return SimulatedEnvironment(recipe.live.commands, draws_of(recipe.spec, recipe.constants))
     return environment_of(recipe.spec, recipe.constants)
 
 
 def kernel_of(recipe: Recipe, edited: World) -> Kernel:
-    """Return the run at its founding in this environment, with all commands that are to come."""
+    """Return the run at its founding in this environment, with all its commands submitted."""
     if recipe.live is not None:
         assert isinstance(edited, EditedEnvironment)
         events, founded = fleet_founding(recipe.spec.fleet_size, recipe.constants, recipe.live.alone)
@@ -173,79 +175,79 @@ def kernel_of(recipe: Recipe, edited: World) -> Kernel:
 
 
 def edited_environment(recipe: Recipe) -> EditedEnvironment:
-    """Return the world of the recipe: with other constants from some times on, other facts, and other answers."""
-    usual = world_of(recipe)
-    facts: tuple[Fact, ...] = tuple(usual.facts)
+    """Return the world of the recipe with its changes of constants, facts and answers."""
+    unedited = world_of(recipe)
+    facts: tuple[Fact, ...] = tuple(unedited.facts)
     for from_us, era in eras(recipe):
         facts = continued(facts, tuple(era.facts), from_us, numbers_again=recipe.rules != NOW)
-    of_facts = [one for one in recipe.changes if isinstance(one, Drop | Move | Add)]
-    answers = [one for one in recipe.changes if isinstance(one, Answer)]
+    fact_changes = [change for change in recipe.changes if isinstance(change, Drop | Move | Add)]
+    answers = [change for change in recipe.changes if isinstance(change, Answer)]
     facts = _altered(facts, answers)
     if recipe.live is None:
         is_now, counts_anew = recipe.rules == NOW, recipe.rules == TO_0_15
-        facts = edited_facts(facts, of_facts, counts_anew=counts_anew, unites=is_now)
-        return EditedEnvironment(usual, facts, answers)
-    facts = edited_facts(facts, of_facts, recipe.live.until_us)
+        facts = edited_facts(facts, fact_changes, counts_anew=counts_anew, unites=is_now)
+        return EditedEnvironment(unedited, facts, answers)
+    facts = edited_facts(facts, fact_changes, recipe.live.until_us)
     fleet = fleet_founding(recipe.spec.fleet_size, recipe.constants, recipe.live.alone)[1].fleet
-    asked = [(one, _commanded(fleet, one)) for one in recipe.changes if isinstance(one, Commanded)]
+    issued = [(change, _commanded(fleet, change)) for change in recipe.changes if isinstance(change, Commanded)]
     commanded: list[_Placed] = [
-        (max(1, microseconds_of(one.from_s)), given(command, command.issued_by), None) for one, command in asked
+        (max(1, microseconds_of(change.from_s)), given(command, command.issued_by), None) for change, command in issued
     ]
     facts = _unplaced(_apart(_placed(facts), commanded))
 
     def draws(seed: int) -> Draws:
         return draws_of(msgspec.structs.replace(recipe.spec, seed=seed), recipe.constants)
 
-    return EditedEnvironment(usual, facts, answers, cache(draws))
+    return EditedEnvironment(unedited, facts, answers, cache(draws))
 
 
 def _altered(facts: tuple[Fact, ...], changes: Sequence[Answer]) -> tuple[Fact, ...]:
-    """Return the commands, in which those that the changes name say otherwise."""
-    names, found = facts_by_name(facts), list(facts)
+    """Return the facts, with the commands that the changes name altered."""
+    names, edited = facts_by_name(facts), list(facts)
     for change in changes:
         if change.question.startswith(COMMAND):
-            for at in (at for name in matching_names(change.question, names) for at in names[name]):
-                time_us, command = found[at]
+            for index in (index for name in matching_names(change.question, names) for index in names[name]):
+                time_us, command = edited[index]
                 assert isinstance(command, CommandGiven)
-                found[at] = time_us, altered(command, change)
-    return tuple(found)
+                edited[index] = time_us, altered(command, change)
+    return tuple(edited)
 
 
 def eras(recipe: Recipe) -> list[tuple[int, World]]:
-    """Return from when on the world has other constants, and that world, in order of time. Units: microseconds."""
+    """Return each time from which the world has other constants, with that world, in order. Units: microseconds."""
     return [
         (from_us, environment_of(recipe.spec, constants)) for from_us, constants in constants_by_time(recipe).items()
     ]
 
 
 def command(kernel: Kernel, recipe: Recipe) -> None:
-    """Submit what supervisors command in this recipe. Raises: UsageError if the architecture takes no such command."""
+    """Submit the supervisors' commands of this recipe. Raises: UsageError if the architecture does not decide one."""
     for change in recipe.changes:
         if isinstance(change, Add) and isinstance(fact := fact_of(change.event), CommandGiven):
-            able = sorted(name for name, kind in commands().items() if kernel.decides(kind))
-            if fact.command not in able:
+            decided = sorted(name for name, kind in commands().items() if kernel.decides(kind))
+            if fact.command not in decided:
                 raise UsageError(
                     f"change {change}: {recipe.spec.architecture} decides no {fact.command}, expected one of "
-                    f"{', '.join(able)}, or a run of fsar, which decides every command"
+                    f"{', '.join(decided)}, or a run of fsar, which decides every command"
                 )
         if isinstance(change, Rule | Trust | Budget | Density):
-            asked = _commanded(kernel.state.fleet, change)
-            if not kernel.decides(type(asked)):
+            issued = _commanded(kernel.state.fleet, change)
+            if not kernel.decides(type(issued)):
                 raise UsageError(
                     f"change {change}: {recipe.spec.architecture} decides no such command, expected a run of fsar"
                 )
-            kernel.submit(max(1, microseconds_of(change.from_s)), asked)
+            kernel.submit(max(1, microseconds_of(change.from_s)), issued)
 
 
 def _commanded(fleet: Fleet, change: Commanded) -> SetPolicyRule | SetTrust | SetRecoveryBudget | SetSupervisionDensity:
-    """Return the command of a change, as who is in charge issues it."""
+    """Return the command of a change, issued by the supervisor in charge."""
     match change:
         case Rule():
-            own = None
+            supervisor = None
             if change.scope == "local" and change.robot is not None and change.robot in fleet.robots:
-                own = fleet.robots[change.robot].supervisor
+                supervisor = fleet.robots[change.robot].supervisor
             return SetPolicyRule(
-                issued_by=own or FLEET_SUPERVISOR,
+                issued_by=supervisor or FLEET_SUPERVISOR,
                 scope=change.scope,
                 robot=change.robot,
                 capability=change.capability,
@@ -278,7 +280,7 @@ def _commanded(fleet: Fleet, change: Commanded) -> SetPolicyRule | SetTrust | Se
 
 
 def run_to_end(kernel: Kernel, edited: EditedEnvironment, recipe: Recipe) -> None:
-    """Run to the end, with the world of each era from its time on; a live run until its record ends."""
+    """Run to the end, switching to each era's world at its time; a live run ends where its record ends."""
     if recipe.live is not None:
         kernel.run(recipe.live.until_us)
         return
@@ -293,13 +295,13 @@ def fork(base: Recipe, record: LedgerRun, root: str, changes: Changes) -> Fork:
     """Return the fork of a run: the base with these changes.
 
     Args:
-        base: What the base is made from.
-        record: The base as recorded, and as it is made.
+        base: The recipe of the base.
+        record: The record of the base, which its recipe reproduces.
         root: The root of the ledger that holds the base.
-        changes: What is otherwise; none gives a null fork.
+        changes: The changes; none gives a null fork.
 
     Raises:
-        UsageError: A change names what there is not, or is impossible.
+        UsageError: A change names something that does not exist, or is impossible.
     """
     recipe = with_changes(base, changes)
     require_possible(recipe)
@@ -323,32 +325,32 @@ def fork(base: Recipe, record: LedgerRun, root: str, changes: Changes) -> Fork:
 
 
 def until(record: LedgerRun, time_us: int) -> LedgerRun:
-    """Return what the record has until then."""
+    """Return the part of the record up to this time, inclusive."""
     count = bisect_right(record.times_us, time_us)
     parts = record.times_us[:count], record.caused_by[:count], record.events[:count]
     return LedgerRun(record.run_id, *parts)
 
 
 def live_again(base: Recipe) -> tuple[LedgerRun, Recipe]:
-    """Return the live run that this is the recipe of, made again, and the recipe with what it asked, and until when.
+    """Run the live run of this recipe again; return its record, and the recipe with its questions and its end.
 
-    Where nothing more comes about after the record, as if nobody said more, nobody was asked: there a fork can go on.
+    If nothing follows the record without further input, no question was open, and a fork can go on (`NEVER_US`).
     """
     assert base.live is not None
     kernel = kernel_of(base, edited_environment(base))
     assert isinstance(kernel, LiveKernel)
     kernel.run(base.live.until_us)
-    made = record_of(kernel)
-    record = LedgerRun(made.run_id, [*made.times_us], [*made.caused_by], [*made.events])
-    asked = {one: tuple(times_us) for one, times_us in kernel.asked.items()}
-    kernel.run(most=len(made.events) + 1)
+    rerun = record_of(kernel)
+    record = LedgerRun(rerun.run_id, [*rerun.times_us], [*rerun.caused_by], [*rerun.events])
+    asked = {question: tuple(times_us) for question, times_us in kernel.asked.items()}
+    kernel.run(most=len(rerun.events) + 1)
     until_us = NEVER_US if len(kernel.events) == len(record.events) else base.live.until_us
     live = msgspec.structs.replace(base.live, asked=asked, until_us=until_us)
     return record, msgspec.structs.replace(base, live=live)
 
 
 def run_again(base: Recipe) -> tuple[LedgerRun, list[Question]]:
-    """Return the simulated run without changes that this is the recipe of, and what it asked at its ports."""
+    """Run the simulated run of this recipe, which has no changes; return its record and the questions it asked."""
     environment = QuestionRecorder(environment_of(base.spec, base.constants))
     kernel = kernel_of(base, environment)
     kernel.run()
@@ -356,7 +358,7 @@ def run_again(base: Recipe) -> tuple[LedgerRun, list[Question]]:
 
 
 def last_shared(recipe: Recipe, record: LedgerRun) -> int:
-    """Return the last seq up to which a fork repeats its base, which is made again."""
+    """Return the last seq up to which a fork repeats its base, which is run again."""
     base, _ = run_again(base_of(recipe))
     return _last_shared(base, parts_at(base, record))
 
@@ -366,7 +368,7 @@ def _last_shared(base: LedgerRun, first: int | None) -> int:
 
 
 def record_of(kernel: Kernel) -> LedgerRun:
-    """Return the record of what the run has done so far."""
+    """Return the record of the run so far."""
     started = kernel.events[0]
     assert isinstance(started, RunStarted)
     return LedgerRun(run_id(started), kernel.times_us, kernel.caused_by, kernel.events)
@@ -375,16 +377,16 @@ def record_of(kernel: Kernel) -> LedgerRun:
 def parts_at(first: LedgerRun, second: LedgerRun) -> int | None:
     """Return the first seq after 0 at which two records differ in event, time or cause; None if there is none."""
     events: Sequence[Event] = first.events
-    least = min(len(events), len(second.events))
+    length = min(len(events), len(second.events))
     if (
-        events[1:least] == second.events[1:least]
-        and first.times_us[1:least] == second.times_us[1:least]
-        and first.caused_by[1:least] == second.caused_by[1:least]
+        events[1:length] == second.events[1:length]
+        and first.times_us[1:length] == second.times_us[1:length]
+        and first.caused_by[1:length] == second.caused_by[1:length]
     ):
-        return None if len(events) == len(second.events) else least
+        return None if len(events) == len(second.events) else length
     return next(
         seq
-        for seq in range(1, least)
+        for seq in range(1, length)
         if first.times_us[seq] != second.times_us[seq]
         or first.caused_by[seq] != second.caused_by[seq]
         or events[seq] != second.events[seq]
