@@ -1,4 +1,4 @@
-"""Make an experiment from the arguments of `simulate`, and name the arguments that continue a plan of a ledger."""
+"""Build an experiment from the arguments of `simulate`, and the command that continues a plan of a ledger."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -71,7 +71,7 @@ def experiment_of(
     configurations = tuple(
         dict.fromkeys(ablation(known("mechanism", _joined(name), EVERY_MECHANISM)) for name in without or ())
     )
-    whose = tuple(
+    affected = tuple(
         name
         for name in MECHANISMS_OF
         if any(removed_mechanisms(configuration) & set(MECHANISMS_OF[name]) for configuration in configurations)
@@ -87,7 +87,7 @@ def experiment_of(
             )
         constants = msgspec.structs.replace(constants, load=Load(*load))
     return Experiment(
-        architectures=known("architecture", architectures, ARCHITECTURES) or whose or PAPER_ARCHITECTURES,
+        architectures=known("architecture", architectures, ARCHITECTURES) or affected or PAPER_ARCHITECTURES,
         scenarios=chosen or registered.PAPER_SCENARIOS,
         configurations=configurations or (FULL,),
         runs=RUNS if runs is None else runs,
@@ -98,19 +98,19 @@ def experiment_of(
     )
 
 
-def _joined(asked: str) -> list[str]:
+def _joined(text: str) -> list[str]:
     """Split names joined by +. Raises: InvalidExperiment if one is empty or repeated, or joined otherwise."""
-    names = [name.strip() for name in asked.split("+")]
-    if "" in names or len(set(names)) < len(names) or "," in asked:
+    names = [name.strip() for name in text.split("+")]
+    if "" in names or len(set(names)) < len(names) or "," in text:
         raise InvalidExperiment(
-            f"{option('without', printable.value(asked))}: expected mechanisms, each once, with + between them, as in "
+            f"{option('without', printable.value(text))}: expected mechanisms, each once, with + between them, as in "
             "trust-evaluation+shared-registry"
         )
     return names
 
 
 def _workflows_of(
-    asked: list[str],
+    requested: list[str],
     runs: int | None,
     seed: int,
     others: dict[str, Any],
@@ -118,10 +118,10 @@ def _workflows_of(
     fleet_size: int | None,
 ) -> Experiment:
     """Return the experiment of these workflows, under FSAR, with one robot of each role."""
-    for name, found in others.items():
-        if found is not None and found != []:
-            shown = found[0] if isinstance(found, list) else found
-            raise UsageError(f"{option('workflow')} and {option(name, shown)}: expected one or the other")
+    for name, value in others.items():
+        if value is not None and value != []:
+            first = value[0] if isinstance(value, list) else value
+            raise UsageError(f"{option('workflow')} and {option(name, first)}: expected one or the other")
     for name in architectures or ():
         if name != "fsar":
             raise UsageError(
@@ -132,13 +132,13 @@ def _workflows_of(
             f"{option('workflow')} and {option('fleet_size', fleet_size)}: expected 4, one robot of each role"
         )
     names = {name.removeprefix("workflow-"): name for name in registered.workflows()}
-    chosen = tuple(names[name] for name in known("workflow", asked, tuple(names)))
+    chosen = tuple(names[name] for name in known("workflow", requested, tuple(names)))
     return workflow_experiment(seed, 1 if runs is None else runs, chosen)
 
 
 MAX_RUNS = 9999  # of an experiment
 MAX_COUNTS = 32
-"""How many values of `reproduce --runs` are tried, the largest ones: each costs some milliseconds.
+"""The number of values of `reproduce --runs` that are tried, the largest ones: each costs some milliseconds.
 
 `info` also reads ledgers that others wrote.
 """
@@ -146,7 +146,7 @@ PARAMETERS = "SELECT run_id, parameters FROM experiment_planned"
 
 
 class PlanRow(NamedTuple):
-    """A ledger, by the path that the user gave, and its content."""
+    """A ledger: the path that the user gave, and its content."""
 
     path: Path
     view: View
@@ -155,7 +155,7 @@ class PlanRow(NamedTuple):
 def plans(database: Database, ledger: PlanRow) -> list[dict[str, Any]]:
     """Return every plan, the largest first, with the command that continues it.
 
-    The command is None where no run is missing, or where this version cannot make the missing runs.
+    The command is None if no run is missing, or if this version cannot make the missing runs.
     """
     rows, view = database.rows(EXPERIMENTS), ledger.view
     shards = [] if log_of(view) is view else views_of(view)
@@ -177,21 +177,27 @@ def reproducing(planned: Mapping[str, int], ledger: PlanRow) -> dict[str, str]:
     """Return, by plan, the call of `reproduce` that continues a ledger that it made besides the results.
 
     `simulate` cannot continue such a ledger, because no key signs under its name. `planned` are the ledger's plans and
-    their numbers of runs. Several values of `reproduce --runs` can give this many to a seed; that with most of the
-    ledger's plans is meant, and the smallest of these.
+    their numbers of runs. Several values of `reproduce --runs` can give a seed this many runs; the one that covers the
+    most plans of the ledger is chosen, the smallest of these if there are several.
     """
     path = ledger.path if ledger.path.name else ledger.path.resolve()
-    name = next((one for one in NAMES if one == path.name), NAMES[0])
+    name = next((suffix for suffix in NAMES if suffix == path.name), NAMES[0])
     if name == NAMES[0] or not ledger.view.manifest.origin.endswith(f"/{name}"):
         return {}
-    found: dict[str, tuple[int, str]] = {}
-    possible = sorted({one for count in planned.values() for one in whole_of(count) if 1 <= one <= MAX_RUNS})
-    for many in (None, *possible[-MAX_COUNTS:]):
-        asked = ["--out", printable.word(path.parent), "--only", name, *([] if many is None else ["--runs", str(many)])]
-        call = " ".join(("fsar-ledger reproduce", *asked, *(["--key KEY"] if _is_signed(ledger.view) else [])))
-        theirs = planned.keys() & {plan_id(part.plan()) for part in paper_ledger(name, many).parts}
-        found |= {plan: (len(theirs), call) for plan in theirs if len(theirs) > found.get(plan, (0, ""))[0]}
-    return {plan: call for plan, (_, call) in found.items()}
+    calls: dict[str, tuple[int, str]] = {}
+    possible = sorted({number for count in planned.values() for number in whole_of(count) if 1 <= number <= MAX_RUNS})
+    for runs in (None, *possible[-MAX_COUNTS:]):
+        arguments = [
+            "--out",
+            printable.word(path.parent),
+            "--only",
+            name,
+            *([] if runs is None else ["--runs", str(runs)]),
+        ]
+        call = " ".join(("fsar-ledger reproduce", *arguments, *(["--key KEY"] if _is_signed(ledger.view) else [])))
+        shared = planned.keys() & {plan_id(part.plan()) for part in paper_ledger(name, runs).parts}
+        calls |= {plan: (len(shared), call) for plan in shared if len(shared) > calls.get(plan, (0, ""))[0]}
+    return {plan: call for plan, (_, call) in calls.items()}
 
 
 def _is_signed(view: View) -> bool:
@@ -200,7 +206,7 @@ def _is_signed(view: View) -> bool:
 
 
 def shape(plan: Mapping[str, Any]) -> str:
-    """Describe what a plan names: `door-relay x 20 runs x fsar, cfc (full), seed 42, 4 robots`."""
+    """Describe a plan: `door-relay x 20 runs x fsar, cfc (full), seed 42, 4 robots`."""
     parts = (
         _some(plan["scenarios"], "scenarios"),
         printable.counted(plan["run_count"], "run") + (f" from {plan['first_run']:,}" if plan["first_run"] else ""),
@@ -219,21 +225,21 @@ def _some(names: list[str], what: str) -> str:
 def continues_with(plan: Mapping[str, Any], parameters: str, ledger: PlanRow) -> str | None:
     """Return the call of `simulate` that makes the missing runs; None if no call of this version has this plan.
 
-    None has it where the model, the constants or the names differ.
+    No call has it if the model, the constants or the names differ.
     """
-    asked = _asked(plan, parameters)
+    arguments = _asked(plan, parameters)
     try:
-        if asked is None or plan_id(experiment_of(**asked).plan()) != plan["plan"]:
+        if arguments is None or plan_id(experiment_of(**arguments).plan()) != plan["plan"]:
             return None
     except (InvalidExperiment, UsageError):
         return None
-    return " ".join(("fsar-ledger simulate", printable.word(ledger.path), *_options(asked), *_name(ledger.view)))
+    return " ".join(("fsar-ledger simulate", printable.word(ledger.path), *_options(arguments), *_name(ledger.view)))
 
 
 def _asked(plan: Mapping[str, Any], parameters: str) -> dict[str, Any] | None:
-    """Return the arguments of `experiment_of` for such a plan; None where its constants cannot be read.
+    """Return the arguments of `experiment_of` for such a plan; None if its constants cannot be read.
 
-    An argument is None where the default will do.
+    An argument is None if it has its default.
     """
     try:
         load = read_constants(parameters).load or Load()
@@ -257,25 +263,25 @@ def _asked(plan: Mapping[str, Any], parameters: str) -> dict[str, Any] | None:
     }
 
 
-def _options(asked: Mapping[str, Any]) -> Iterator[str]:
+def _options(arguments: Mapping[str, Any]) -> Iterator[str]:
     """Yield the options of `simulate` for these arguments, without those at their defaults."""
-    for written, name in (
+    for flag, name in (
         ("--architecture", "architectures"),
         ("--scenario", "scenarios"),
         ("--workflow", "workflows"),
         ("--without", "without"),
     ):
-        yield from (f"{written} {printable.word(one)}" for one in asked[name] or ())
-    working, sets = asked["load"]
+        yield from (f"{flag} {printable.word(value)}" for value in arguments[name] or ())
+    working, sets = arguments["load"]
     numbers = (
-        ("--first-run", asked["first_run"], 0),
-        ("--runs", asked["runs"], None),
-        ("--seed", asked["seed"], 42),
-        ("--fleet-size", asked["fleet_size"], 4),
+        ("--first-run", arguments["first_run"], 0),
+        ("--runs", arguments["runs"], None),
+        ("--seed", arguments["seed"], 42),
+        ("--fleet-size", arguments["fleet_size"], 4),
     )
-    for written, value, usual in (*numbers, ("--teams-working", working, None), ("--task-sets", sets, 1)):
-        if value != usual:
-            yield f"{written} {value}"
+    for flag, value, default in (*numbers, ("--teams-working", working, None), ("--task-sets", sets, 1)):
+        if value != default:
+            yield f"{flag} {value}"
 
 
 def _name(view: View) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Takes out mechanisms, to show which number each of them carries.
+"""Removal of mechanisms, to measure the effect of each.
 
 A knockout changes decisions of one architecture and leaves the world as it is. The handlers themselves check the four
 mechanisms of the paper's ablation; the replacements of all others are here. A configuration loses only the mechanisms
@@ -87,13 +87,13 @@ def decide_nothing(_state: State, _command: Command) -> tuple[Event, ...]:
 
 
 def on_view(slot: str, seen: Callable[[State], Any], decide: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the same decision or reaction, made on a state that has `seen` in this slot."""
+    """Return the same decision or reaction, made on a copy of the state with `seen` in this slot."""
 
     @wraps(decide)
-    def decide_on_it(state: State, *about: Any) -> Any:
-        other = state.copy()
-        setattr(other, slot, seen(state))
-        return decide(other, *about)
+    def decide_on_it(state: State, *arguments: Any) -> Any:
+        copy = state.copy()
+        setattr(copy, slot, seen(state))
+        return decide(copy, *arguments)
 
     return decide_on_it
 
@@ -109,7 +109,7 @@ def edit_events(change: Callable[[State, Event], Event | None], decide: Decide) 
 
 
 def in_every_decision(change: Callable[[State, Event], Event | None]) -> ChangeTable:
-    """Return the change of a table that edits the events of every decision."""
+    """Return a table change that edits the events of every decision."""
 
     def changed(table: HandlerTable) -> HandlerTable:
         decides = {command: edit_events(change, decide) for command, decide in table.decides.items()}
@@ -119,7 +119,7 @@ def in_every_decision(change: Callable[[State, Event], Event | None]) -> ChangeT
 
 
 def leaving_out(kind: type[Event], command: type[Command]) -> ChangeTable:
-    """Return the change of a table that drops events of this type from the decision on this command."""
+    """Return a table change that drops events of this type from the decision on this command."""
 
     def changed(table: HandlerTable) -> HandlerTable:
         edited = edit_events(lambda _state, event: None if isinstance(event, kind) else event, table.decides[command])
@@ -129,7 +129,7 @@ def leaving_out(kind: type[Event], command: type[Command]) -> ChangeTable:
 
 
 def decided_by(event: Event, robot: Robot | None) -> Event:
-    """Return the event with this robot, or nobody, recorded as the decider."""
+    """Return the event with this robot, or none, recorded as the decider."""
     return with_columns(event, decided_by=robot, path=() if robot is None else (robot,))
 
 
@@ -164,8 +164,8 @@ def _checked_by_own_policy(state: State, action: Action, command: StartAction) -
     return start_under(state, action, command, holding(state, action)[0], "allow")
 
 
-def _with_start(otherwise: Start, *, is_delegated: bool) -> ChangeTable:
-    """Return the change that starts delegated work (or the robot's own) in this way; the other kind as before."""
+def _with_start(replacement: Start, *, is_delegated: bool) -> ChangeTable:
+    """Return a table change that replaces how delegated work (or the robot's own) is started."""
 
     def changed(table: HandlerTable) -> HandlerTable:
         checked = table.decides[StartAction]
@@ -175,7 +175,7 @@ def _with_start(otherwise: Start, *, is_delegated: bool) -> ChangeTable:
             action = ready(state.execution, command)
             if action is None or action.is_delegated != is_delegated:
                 return checked(state, command)
-            return otherwise(state, action, command)
+            return replacement(state, action, command)
 
         return HandlerTable({**table.decides, StartAction: start}, table.reacts, table.actors)
 
@@ -203,7 +203,7 @@ _OF_FSAR = (
 
 
 def _copy_of_now(state: State) -> Any:
-    """Return the knowledge with a copy that shows the present state of the robots."""
+    """Return the knowledge with a copy of the robots' current state."""
     (copy,) = coordinator.sync(state, coordinator.Sync())
     return state.knowledge.__replace__(copy=copy)
 
@@ -256,7 +256,7 @@ def _on_own_attempt(state: State, event: RecoveryAttempted, now_us: int) -> tupl
 
 
 def _on_own_attempt_failed(state: State, event: RecoveryAttemptFailed, now_us: int) -> tuple[Scheduled, ...]:
-    """Tell the coordinator of the last failed attempt only."""
+    """Report only the last failed attempt to the coordinator."""
     failure = open_failure(state, event.subject.action_id)
     if failure is not None and _may_try(state.budget, state.fleet, failure[1], event.number, now_us):
         return ()
@@ -270,7 +270,9 @@ def _recovering_alone(table: HandlerTable) -> HandlerTable:
         HANDLERS.reacts[RecoveryAttempted]: _on_own_attempt,
         HANDLERS.reacts[RecoveryAttemptFailed]: _on_own_attempt_failed,
     }
-    reacts = {event: tuple(instead.get(react, react) for react in several) for event, several in table.reacts.items()}
+    reacts = {
+        event: tuple(instead.get(react, react) for react in reactions) for event, reactions in table.reacts.items()
+    }
     return HandlerTable(
         {**table.decides, RetryAlone: _retry_alone, EndAttempt: _end_own_attempt},
         reacts,
@@ -279,7 +281,7 @@ def _recovering_alone(table: HandlerTable) -> HandlerTable:
 
 
 def _requester_named(state: State, event: Event) -> Event:
-    """Name the robot that owns the task as requester where nobody, or the coordinator, is named."""
+    """Record the task's owner as the requester where the requester is missing or the coordinator."""
     values = flat(event)
     task = state.task.get(values.get("task_id") or "")
     if task is not None and values.get("requested_by", "") in (None, COORDINATOR):
@@ -325,7 +327,7 @@ _OF_CFC = (
 
 
 def _passed_at_once(state: State, command: dhma_execution.PassExecution) -> tuple[Event, ...]:
-    """Let the sender release at the same instant at which the receiver claims."""
+    """Let the sender release at the instant at which the receiver claims."""
     events = dhma_execution.pass_execution(state, command)
     acknowledged = dhma_execution.acknowledge_execution(
         state, dhma_execution.AcknowledgeExecution(command.action_id, command.round, command.sender)
@@ -334,17 +336,17 @@ def _passed_at_once(state: State, command: dhma_execution.PassExecution) -> tupl
 
 
 def _snapshots_of_now(state: State) -> Any:
-    """Return the knowledge with snapshots that show the policy in force at every robot."""
+    """Return the knowledge with snapshots of the policy in force at every robot."""
     return state.knowledge.__replace__(
         snapshot={robot: in_force(state.world.local, robot) for robot in state.fleet.robots}
     )
 
 
 def _talking_in_no_time(table: HandlerTable) -> HandlerTable:
-    """Let the agents of a robot hear each other at once; what they say is on record as before."""
+    """Deliver messages between the agents of a robot at once; they are recorded as before."""
     quick = partial(on_view, "fleet", zeroed("hop_ppm"))
     return HandlerTable(
-        table.decides, {event: tuple(map(quick, several)) for event, several in table.reacts.items()}, table.actors
+        table.decides, {event: tuple(map(quick, reactions)) for event, reactions in table.reacts.items()}, table.actors
     )
 
 
@@ -379,13 +381,13 @@ _OF_DHMA = (
 
 
 KNOCKOUTS: tuple[Knockout, ...] = _OF_FSAR + _OF_CFC + _OF_DHMA
-assert {(one.architecture, one.name) for one in KNOCKOUTS} == {
+assert {(knockout.architecture, knockout.name) for knockout in KNOCKOUTS} == {
     (architecture, name) for architecture, names in MECHANISMS_OF.items() for name in names
 }
 
 
 def knock_out(table: HandlerTable, architecture: Architecture, configuration: Configuration) -> HandlerTable:
-    """Return the architecture's table without what the configuration lacks, except what its handlers check."""
+    """Return the architecture's table without the mechanisms that the configuration lacks, but for handlers' checks."""
     for knockout in KNOCKOUTS:
         if knockout.architecture == architecture and knockout.name in removed_mechanisms(configuration):
             table = knockout.taken_out_of(table)

@@ -1,8 +1,8 @@
 """The experiments of the paper by name, as `reproduce` makes them, one ledger each. Paper: sec:evaluation.
 
 `results` is the results table. `ablation` is FSAR in full and without one mechanism each, and without the registry at
-several encounter rates; then every architecture without each of its further mechanisms, to show which number each of
-them carries. `scaling` is the table of fleet sizes at both ends of the load that the text leaves open, with loads in
+several encounter rates; then every architecture without each of its further mechanisms, to show which numbers depend
+on it. `scaling` is the table of fleet sizes at both ends of the load that the text leaves open, with loads in
 between and larger fleets. `workflows` are the three workflows. The runs of each are spread over the registered seeds,
 since one seed can be lucky. Each ledger has an origin of its own, so a key signs each under a different name.
 """
@@ -31,7 +31,7 @@ Name = Literal["results", "ablation", "scaling", "workflows"]
 NAMES: tuple[Name, ...] = get_args(Name)
 
 SEED = 42
-"""Of the workflows, which are scripts."""
+"""The seed of the workflows, which are scripts."""
 
 RUNS: dict[Name, int] = {"results": 200, "ablation": 40, "scaling": 20, "workflows": 1}
 """Runs of each scenario, architecture and configuration: the registered number, twice the paper's, and the paper's."""
@@ -57,7 +57,7 @@ _ORIGINS: dict[Name, str] = {
 
 
 class PaperLedger(msgspec.Struct, frozen=True):
-    """One ledger to make: its name, its origin, and its experiments in order."""
+    """A ledger to make: its name, its origin, and its experiments in order."""
 
     name: Name
     origin: str
@@ -69,7 +69,7 @@ class PaperLedger(msgspec.Struct, frozen=True):
         return sum(part.size for part in self.parts)
 
     def signer(self, signer: Signer | None) -> Signer | None:
-        """Return a signer with the same secret under this ledger's name; None is unsigned.
+        """Return a signer with the same secret under this ledger's name; None: unsigned.
 
         The name is the key's own for `results`, else the key's and the experiment's.
         """
@@ -83,24 +83,24 @@ def paper_ledger(name: Name, runs: int | None = None) -> PaperLedger:
 
     The workflows are scripts and always have one run.
     """
-    many = RUNS[name] if runs is None else runs
+    count = RUNS[name] if runs is None else runs
     if name == "workflows":
         return PaperLedger(name, _ORIGINS[name], (workflow_experiment(SEED, 1),))
     parts = {"results": _results, "ablation": _ablation, "scaling": _scaling}[name]
-    return PaperLedger(name, _ORIGINS[name], tuple(one for part in parts(many) for one in over_seeds(part)))
+    return PaperLedger(name, _ORIGINS[name], tuple(seeded for part in parts(count) for seeded in over_seeds(part)))
 
 
 # See docs/decisions/verdicts-pool-registered-seeds.md.
 def over_seeds(experiment: Experiment) -> Iterator[Experiment]:
-    """Spread the runs of an experiment over the registered seeds, as evenly as can be, the first seeds first."""
+    """Spread the runs of an experiment over the registered seeds, as evenly as possible, the first seeds first."""
     seeds = registration().verdicts.seeds
-    for at, seed in enumerate(seeds):
-        if (runs := (experiment.runs + len(seeds) - 1 - at) // len(seeds)) > 0:
+    for index, seed in enumerate(seeds):
+        if (runs := (experiment.runs + len(seeds) - 1 - index) // len(seeds)) > 0:
             yield msgspec.structs.replace(experiment, seed=seed, runs=runs)
 
 
 def whole_of(runs: int) -> range:
-    """Return the numbers of runs of which `over_seeds` can give this many to one seed."""
+    """Return the total numbers of runs for which `over_seeds` can give one seed this many."""
     seeds = len(registration().verdicts.seeds)
     return range(seeds * (runs - 1) + 1, seeds * (runs + 1))
 
@@ -121,7 +121,7 @@ def _ablation(runs: int) -> Iterator[Experiment]:
 
 
 def _scaling(runs: int) -> Iterator[Experiment]:
-    """Yield the experiments over fleet sizes, at full load (all teams work) and with fewer teams at work."""
+    """Yield the experiments over fleet sizes, at full load (all teams work) and with fewer teams working."""
     for size in TABLED_SIZES:
         yield Experiment(PAPER_ARCHITECTURES, SCENARIOS, runs, fleet_size=size)
     for size in (*TABLED_SIZES[1:], *BEYOND):

@@ -1,10 +1,10 @@
-"""The world: the only home of randomness. It knows scenarios and robots, but not the architecture.
+"""The world: the only source of randomness. It depends on scenarios and robots, but not on the architecture.
 
-Here are its draws: pure functions of what they are used for, and the environment that answers with them. A draw is the
+Its draws are pure functions of what they are used for, and its environment answers with them. A draw is the
 BLAKE2b hash of its name under the key of the run, so it does not depend on earlier draws, on any other stream, or on
 the architecture. No name contains an architecture or a configuration.
 
-The fleet at its beginning is here, too: the events that found it, as its design says.
+The events that found the fleet, by its design, are here, too.
 """
 
 import struct
@@ -83,7 +83,7 @@ class Draws:
         self._laws = {
             stream: (law.low_s * 1e6, (law.high_s - law.low_s) * 1e6 * _SHARE) for stream, law in laws.items()
         }
-        # Of each stream, the hash of what the names of its draws begin with: thousands of them follow.
+        # Each stream's hash of the prefix of its draws' names, which thousands of draws share.
         self._begun = {
             stream: blake2b(f"{stream}|".encode(), digest_size=8, key=key) for stream in (*laws, "reliability")
         }
@@ -106,7 +106,7 @@ class Draws:
         return length_us if share_ppm == 1_000_000 else length_us * share_ppm // 1_000_000
 
     def middle(self, ask: Ask) -> int:
-        """Return the middle of the law by which a length is drawn. Units: microseconds."""
+        """Return the midpoint of the law by which a length is drawn. Units: microseconds."""
         low_us, scale = self._laws[ask.what]
         return round(min(low_us + scale / (2 * _SHARE), FOREVER_US)) * ask.share_ppm // 1_000_000
 
@@ -135,11 +135,11 @@ class Member(NamedTuple):
 
     @property
     def supervisor(self) -> Supervisor | None:
-        """Return who supervises the robot, if not the fleet supervisor: a person of its own, or one of several."""
+        """Return the robot's supervisor, its own or one of several robots; None: the fleet supervisor."""
         if not self.design.has_supervisor:
             return None
-        named = self.design.supervisor
-        return local_supervisor(self.name) if named is None else supervisor_named(f"supervisor/{named}")
+        name = self.design.supervisor
+        return local_supervisor(self.name) if name is None else supervisor_named(f"supervisor/{name}")
 
 
 def team_size(fleet: Fleet | None) -> int:
@@ -170,17 +170,17 @@ def founding(fleet_size: int, floor_teams: int = FLOOR_TEAMS, fleet: Fleet | Non
     has_floors = fleet_size > len(design.robots) * floor_teams
     joined: list[Event] = [
         RobotJoined(
-            robot=one.name,
-            role=one.design.kind,
-            team=one.team,
-            supervisor=one.supervisor,
-            domain=one.design.domain,
-            place=f"floor/{floor_of(one.team, floor_teams)}" if has_floors else None,
+            robot=member.name,
+            role=member.design.kind,
+            team=member.team,
+            supervisor=member.supervisor,
+            domain=member.design.domain,
+            place=f"floor/{floor_of(member.team, floor_teams)}" if has_floors else None,
         )
-        for one in everyone
+        for member in everyone
     ]
     capabilities = {capability.name: capability for capability in design.capabilities}
-    possessed = [(one.name, capabilities[name]) for one in everyone for name in one.design.capabilities]
+    possessed = [(member.name, capabilities[name]) for member in everyone for name in member.design.capabilities]
     joined += [
         CapabilityInstalled(
             robot=name,
@@ -206,7 +206,7 @@ def founding(fleet_size: int, floor_teams: int = FLOOR_TEAMS, fleet: Fleet | Non
 
 
 def _trust_and_rules(design: Fleet) -> Iterator[Event]:
-    """Yield whom the robots trust, and the rules that hold for them."""
+    """Yield the trust between roles, and the policy rules."""
     # See docs/decisions/trust-and-rules-are-by-role.md.
     for trust in design.trust:
         pairs = [(trust.role, trust.peer_role)]
@@ -227,20 +227,20 @@ def _trust_and_rules(design: Fleet) -> Iterator[Event]:
 
 
 def _spending(design: Fleet, everyone: Sequence[Member]) -> Iterator[Event]:
-    """Yield how often supervisors are asked, and what recovery may spend, where the fleet's design says so."""
+    """Yield the supervision densities and the recovery budgets of the fleet's design."""
     for density in design.density:
-        of_role: list[Robot | None] = [one.name for one in everyone if one.design.kind == density.role]
+        of_role: list[Robot | None] = [member.name for member in everyone if member.design.kind == density.role]
         for robot in of_role if density.role is not None else [None]:
             yield SupervisionDensitySet(
                 robot=robot, review_every=density.review_every, decided_by=None, reason="founding"
             )
-    own = {(one.role, one.level) for one in design.budgets}
+    own = {(budget.role, budget.level) for budget in design.budgets}
     for budget in design.budgets:
-        for one in everyone:
-            is_own, kind = budget.role is not None, one.design.kind
+        for member in everyone:
+            is_own, kind = budget.role is not None, member.design.kind
             if budget.role == kind or (not is_own and (kind, budget.level) not in own):
                 yield RecoveryBudgetSet(
-                    robot=one.name,
+                    robot=member.name,
                     level=budget.level,
                     t_max_us=round(budget.time_s * 1e6),
                     n_max=budget.attempts,

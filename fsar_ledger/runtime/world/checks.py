@@ -34,136 +34,143 @@ class Problem(NamedTuple):
 def problems_of_fleet(fleet: Fleet) -> Iterator[Problem]:
     """Yield the problems of the fleet by itself, in the order of its fields."""
     yield from _named(("name",), fleet.name, _NAME, "a name of lowercase letters, digits and -, such as ward-night")
-    robots, capabilities = [one.name for one in fleet.robots], [capability.name for capability in fleet.capabilities]
+    robots, capabilities = (
+        [entry.name for entry in fleet.robots],
+        [capability.name for capability in fleet.capabilities],
+    )
     if not robots:
         yield Problem(("robots",), "none", "at least one robot")
-    for at, robot in enumerate(fleet.robots):
-        about: Field = ("robots", at)
-        yield from _named((*about, "name"), robot.name, _ROBOT, "letters, digits, - and _, with a letter at both ends")
-        yield from _first((*about, "name"), robot.name, robots[:at], "another robot of this name")
+    for index, robot in enumerate(fleet.robots):
+        prefix: Field = ("robots", index)
+        yield from _named((*prefix, "name"), robot.name, _ROBOT, "letters, digits, - and _, with a letter at both ends")
+        yield from _first((*prefix, "name"), robot.name, robots[:index], "another robot of this name")
         if robot.role is not None:
-            yield from _named((*about, "role"), robot.role, _ROLE, "letters, digits, - and _, a letter first")
+            yield from _named((*prefix, "role"), robot.role, _ROLE, "letters, digits, - and _, a letter first")
         if robot.supervisor is not None:
-            where: Field = (*about, "supervisor")
+            field: Field = (*prefix, "supervisor")
             yield from _named(
-                where, robot.supervisor, _NAME, "a name of lowercase letters, digits and -, such as maria"
+                field, robot.supervisor, _NAME, "a name of lowercase letters, digits and -, such as maria"
             )
             if not robot.has_supervisor or robot.supervisor == "fleet":
-                yield Problem(where, printable.value(robot.supervisor), "none: the fleet supervisor is in charge")
+                yield Problem(field, printable.value(robot.supervisor), "none: the fleet supervisor is in charge")
         path = "a path of names with / between, such as ward/night, or nothing for the fleet's own registry"
-        yield from _named((*about, "domain"), robot.domain, _DOMAIN, path)
-        yield from _each((*about, "capabilities"), robot.capabilities, capabilities, "the capabilities of the fleet")
+        yield from _named((*prefix, "domain"), robot.domain, _DOMAIN, path)
+        yield from _each((*prefix, "capabilities"), robot.capabilities, capabilities, "the capabilities of the fleet")
     yield from _problems_of_capabilities(fleet, capabilities)
     yield from _each(("bodies",), fleet.bodies, fleet.roles, "the roles of the fleet")
-    for at, substitute in enumerate(fleet.substitutes):
-        yield from _known(("substitutes", at, "of"), substitute.of, capabilities, "the capabilities of the fleet")
-        yield from _known(("substitutes", at, "by"), substitute.by, capabilities, "the capabilities of the fleet")
-        before = [one.of for one in fleet.substitutes[:at]]
-        yield from _first(("substitutes", at, "of"), substitute.of, before, "another substitute for it")
+    for index, substitute in enumerate(fleet.substitutes):
+        yield from _known(("substitutes", index, "of"), substitute.of, capabilities, "the capabilities of the fleet")
+        yield from _known(("substitutes", index, "by"), substitute.by, capabilities, "the capabilities of the fleet")
+        earlier = [entry.of for entry in fleet.substitutes[:index]]
+        yield from _first(("substitutes", index, "of"), substitute.of, earlier, "another substitute for it")
     yield from _problems_of_trust(fleet)
-    for at, policy in enumerate(fleet.policies):
-        yield from _known(("policies", at, "role"), policy.role, fleet.roles, "the roles of the fleet")
+    for index, policy in enumerate(fleet.policies):
+        yield from _known(("policies", index, "role"), policy.role, fleet.roles, "the roles of the fleet")
         if policy.capability is not None:
-            where = ("policies", at, "capability")
-            yield from _known(where, policy.capability, capabilities, "the capabilities of the fleet")
-        yield from _within(("policies", at, "domain"), policy.domain, fleet)
-        if _key(policy) in map(_key, fleet.policies[:at]):
+            field = ("policies", index, "capability")
+            yield from _known(field, policy.capability, capabilities, "the capabilities of the fleet")
+        yield from _within(("policies", index, "domain"), policy.domain, fleet)
+        if _key(policy) in map(_key, fleet.policies[:index]):
             found = f"a second {policy.scope} rule of {policy.role} for {policy.capability or 'every capability'}"
-            yield Problem(("policies", at), found, "each once in a domain")
+            yield Problem(("policies", index), found, "each once in a domain")
     yield from _problems_of_spending(fleet)
     yield from _problems_of_shifts(fleet)
 
 
 def _key(policy: Policy) -> tuple[str, str, str | None, str]:
-    """Return for what the rule is the only one; a second would replace it."""
+    """Return the key of a rule; a second rule with the same key would replace it."""
     return policy.scope, policy.role, policy.capability, policy.domain
 
 
 def _problems_of_capabilities(fleet: Fleet, names: Sequence[str]) -> Iterator[Problem]:
     lengths = dict(DURATIONS)
-    for at, capability in enumerate(fleet.capabilities):
-        about: Field = ("capabilities", at)
-        yield from _named((*about, "name"), capability.name, _CAPABILITY, "a name with a dot in it, such as door.open")
-        yield from _first((*about, "name"), capability.name, names[:at], "another capability of this name")
+    for index, capability in enumerate(fleet.capabilities):
+        prefix: Field = ("capabilities", index)
+        yield from _named((*prefix, "name"), capability.name, _CAPABILITY, "a name with a dot in it, such as door.open")
+        yield from _first((*prefix, "name"), capability.name, names[:index], "another capability of this name")
         for number, condition in enumerate(capability.postconditions):
-            field = (*about, "postconditions", number)
+            field = (*prefix, "postconditions", number)
             yield from _named(field, condition, _CONDITION, "a condition in lowercase letters, such as load.held")
             yield from _first(field, condition, capability.postconditions[:number], "the same condition")
-        yield from _each((*about, "visible_to"), capability.visible_to, fleet.roles, "the roles of the fleet")
+        yield from _each((*prefix, "visible_to"), capability.visible_to, fleet.roles, "the roles of the fleet")
         if capability.lasts_s is None:
             if capability.name not in lengths:
-                yield Problem((*about, "lasts_s"), "nothing", "how long it takes, such as lasts_s = [2.0, 6.0]")
+                yield Problem((*prefix, "lasts_s"), "nothing", "how long it takes, such as lasts_s = [2.0, 6.0]")
         elif not 0 <= capability.lasts_s[0] <= capability.lasts_s[1] <= END_US / 1e6:
             found = " to ".join(map(printable.number, capability.lasts_s))
-            yield Problem((*about, "lasts_s"), found, f"two durations, the shorter first, from 0 to {END_US / 1e6:g} s")
+            yield Problem(
+                (*prefix, "lasts_s"), found, f"two durations, the shorter first, from 0 to {END_US / 1e6:g} s"
+            )
 
 
 def _problems_of_trust(fleet: Fleet) -> Iterator[Problem]:
-    given: set[tuple[str, str, str]] = set()
-    for at, trust in enumerate(fleet.trust):
-        about: Field = ("trust", at)
-        yield from _known((*about, "role"), trust.role, fleet.roles, "the roles of the fleet")
-        yield from _known((*about, "peer_role"), trust.peer_role, fleet.roles, "the roles of the fleet")
-        yield from _within((*about, "domain"), trust.domain, fleet)
+    seen: set[tuple[str, str, str]] = set()
+    for index, trust in enumerate(fleet.trust):
+        prefix: Field = ("trust", index)
+        yield from _known((*prefix, "role"), trust.role, fleet.roles, "the roles of the fleet")
+        yield from _known((*prefix, "peer_role"), trust.peer_role, fleet.roles, "the roles of the fleet")
+        yield from _within((*prefix, "domain"), trust.domain, fleet)
         pairs = {(trust.role, trust.peer_role, trust.domain)}
         if trust.is_mutual:
             pairs.add((trust.peer_role, trust.role, trust.domain))
-        if pairs & given:
-            role, peer_role, _ = min(pairs & given)
-            yield Problem((*about, "role"), f"trust of {role} in {peer_role} a second time", "one entry for each pair")
-        given |= pairs
+        if pairs & seen:
+            role, peer_role, _ = min(pairs & seen)
+            yield Problem((*prefix, "role"), f"trust of {role} in {peer_role} a second time", "one entry for each pair")
+        seen |= pairs
     for name in ("promote_after", "downgrade_after"):
         if (number := getattr(fleet.trust_by_record, name)) < 0:
             yield Problem(("trust_by_record", name), f"{number}", "so many results in a row, or 0: never")
 
 
 def _problems_of_spending(fleet: Fleet) -> Iterator[Problem]:
-    """Yield the problems of how often supervisors are asked, and of what recovery may spend."""
-    for at, density in enumerate(fleet.density):
-        about: Field = ("density", at)
+    """Yield the problems of the supervision densities and the recovery budgets."""
+    for index, density in enumerate(fleet.density):
+        prefix: Field = ("density", index)
         if density.role is not None:
-            yield from _known((*about, "role"), density.role, fleet.roles, "the roles of the fleet")
-        if density.role in [one.role for one in fleet.density[:at]]:
-            yield Problem(about, f"a second density of {density.role or 'every role'}", "each once")
+            yield from _known((*prefix, "role"), density.role, fleet.roles, "the roles of the fleet")
+        if density.role in [earlier.role for earlier in fleet.density[:index]]:
+            yield Problem(prefix, f"a second density of {density.role or 'every role'}", "each once")
         if density.review_every < 0:
-            yield Problem((*about, "review_every"), f"{density.review_every}", "one admission in so many, or 0: none")
-    for at, budget in enumerate(fleet.budgets):
-        about = ("budgets", at)
+            yield Problem((*prefix, "review_every"), f"{density.review_every}", "one admission in so many, or 0: none")
+    for index, budget in enumerate(fleet.budgets):
+        prefix = ("budgets", index)
         if budget.role is not None:
-            yield from _known((*about, "role"), budget.role, fleet.roles, "the roles of the fleet")
-        if (budget.role, budget.level) in [(one.role, one.level) for one in fleet.budgets[:at]]:
+            yield from _known((*prefix, "role"), budget.role, fleet.roles, "the roles of the fleet")
+        if (budget.role, budget.level) in [(earlier.role, earlier.level) for earlier in fleet.budgets[:index]]:
             yield Problem(
-                about, f"a second budget of {budget.role or 'every role'} at level {budget.level}", "each once"
+                prefix, f"a second budget of {budget.role or 'every role'} at level {budget.level}", "each once"
             )
-        least = 1 if budget.level == "human" else 0  # a failure that nobody else resolved must reach somebody
+        minimum = 1 if budget.level == "human" else 0  # an otherwise unresolved failure must reach a person
         end_s = END_US / 1e6
-        if not least <= budget.time_s <= end_s:
-            expected = f"seconds from {least} to {end_s:g} at level {budget.level}"
-            yield Problem((*about, "time_s"), printable.number(budget.time_s), expected)
-        if budget.attempts < least:
-            yield Problem((*about, "attempts"), f"{budget.attempts}", f"at least {least} at level {budget.level}")
+        if not minimum <= budget.time_s <= end_s:
+            expected = f"seconds from {minimum} to {end_s:g} at level {budget.level}"
+            yield Problem((*prefix, "time_s"), printable.number(budget.time_s), expected)
+        if budget.attempts < minimum:
+            yield Problem((*prefix, "attempts"), f"{budget.attempts}", f"at least {minimum} at level {budget.level}")
 
 
 def _problems_of_shifts(fleet: Fleet) -> Iterator[Problem]:
-    for at, spell in enumerate(fleet.off_shift):
-        about: Field = ("off_shift", at)
+    for index, spell in enumerate(fleet.off_shift):
+        prefix: Field = ("off_shift", index)
         end_s = END_US / 1e6
         if not 0 <= spell.from_s < end_s:
-            yield Problem((*about, "from_s"), printable.number(spell.from_s), f"seconds from 0, below {end_s:g}")
+            yield Problem((*prefix, "from_s"), printable.number(spell.from_s), f"seconds from 0, below {end_s:g}")
         if spell.to_s is not None and not spell.from_s < spell.to_s <= end_s:
             yield Problem(
-                (*about, "to_s"),
+                (*prefix, "to_s"),
                 printable.number(spell.to_s),
                 f"more than from_s, at most {end_s:g}, or none: to the end",
             )
         supervised = [robot.name for robot in fleet.robots if robot.has_supervisor]
-        yield from _each((*about, "robots"), spell.robots, supervised, "the robots that have a supervisor of their own")
+        yield from _each(
+            (*prefix, "robots"), spell.robots, supervised, "the robots that have a supervisor of their own"
+        )
         if not spell.robots and not supervised:
-            yield Problem(about, "a spell that concerns no supervisor", "robots that have a supervisor of their own")
+            yield Problem(prefix, "a spell that concerns no supervisor", "robots that have a supervisor of their own")
 
 
 def problems_of_design(design: Scenario | Workflow, fleet: Fleet) -> Iterator[Problem]:
-    """Return why the scenario or the workflow cannot happen to the fleet, in the order of its fields."""
+    """Return the problems of the scenario or the workflow for this fleet, in the order of its fields."""
     return problems_of_workflow(design, fleet) if isinstance(design, Workflow) else problems_of_scenario(design, fleet)
 
 
@@ -174,48 +181,48 @@ def problems_of_scenario(scenario: Scenario, fleet: Fleet) -> Iterator[Problem]:
         yield Problem(("name",), printable.value(scenario.name), "a name that does not begin like those of workflows")
     robots = {robot.name: robot for robot in fleet.robots}
     yield from _problems_of_tasks(scenario.tasks, robots, fleet)
-    for at, injection in enumerate(scenario.injections):
-        about: Field = ("injections", at)
-        yield from _known((*about, "requester"), injection.requester, robots, f"the robots of fleet {fleet.name}")
-        yield from _known((*about, "target"), injection.target, robots, f"the robots of fleet {fleet.name}")
+    for index, injection in enumerate(scenario.injections):
+        prefix: Field = ("injections", index)
+        yield from _known((*prefix, "requester"), injection.requester, robots, f"the robots of fleet {fleet.name}")
+        yield from _known((*prefix, "target"), injection.target, robots, f"the robots of fleet {fleet.name}")
         if injection.requester in robots and injection.target in robots:
-            asked, target = robots[injection.requester], robots[injection.target]
-            has = f"the capabilities of {target.name}"
-            yield from _known((*about, "capability"), injection.capability, target.capabilities, has)
-            if asked is target or _trusts(fleet, target, asked):
+            requester, target = robots[injection.requester], robots[injection.target]
+            expected_from = f"the capabilities of {target.name}"
+            yield from _known((*prefix, "capability"), injection.capability, target.capabilities, expected_from)
+            if requester is target or _trusts(fleet, target, requester):
                 expected = "two robots of which the target's role does not trust the requester's"
-                yield Problem((*about, "requester"), f"{asked.name}, whom {target.name} trusts", expected)
+                yield Problem((*prefix, "requester"), f"{requester.name}, whom {target.name} trusts", expected)
         if not 1 <= injection.times <= MOST_TIMES:
-            yield Problem((*about, "times"), str(injection.times), f"1 to {MOST_TIMES:,}")
-    if (asked_times := sum(one.times for one in scenario.injections)) > MOST_TIMES:
-        yield Problem(("injections",), f"{asked_times:,} requests per team", f"at most {MOST_TIMES:,}")
+            yield Problem((*prefix, "times"), str(injection.times), f"1 to {MOST_TIMES:,}")
+    if (count := sum(injection.times for injection in scenario.injections)) > MOST_TIMES:
+        yield Problem(("injections",), f"{count:,} requests per team", f"at most {MOST_TIMES:,}")
     yield from _each(("degradable",), scenario.degradable, robots, f"the robots of fleet {fleet.name}")
 
 
 def problems_of_workflow(workflow: Workflow, fleet: Fleet) -> Iterator[Problem]:
-    """Yield why the workflow cannot happen to the fleet, or is none, in the order of its fields."""
+    """Yield the problems of the workflow, by itself or for this fleet, in the order of its fields."""
     if not workflow.name.startswith("workflow-"):
         yield Problem(("name",), printable.value(workflow.name), "a name that begins with workflow-")
     robots = {robot.name: robot for robot in fleet.robots}
     yield from _problems_of_tasks(workflow.tasks, robots, fleet)
-    for at, wear in enumerate(workflow.wear):
-        yield from _known(("wear", at, "robot"), wear.robot, robots, f"the robots of fleet {fleet.name}")
+    for index, wear in enumerate(workflow.wear):
+        yield from _known(("wear", index, "robot"), wear.robot, robots, f"the robots of fleet {fleet.name}")
 
 
 def _problems_of_tasks(tasks: Sequence[Task], robots: dict[str, Robot], fleet: Fleet) -> Iterator[Problem]:
     if not tasks:
         yield Problem(("tasks",), "none", "at least one task")
-    for at, task in enumerate(tasks):
-        about: Field = ("tasks", at)
-        yield from _known((*about, "owner"), task.owner, robots, f"the robots of fleet {fleet.name}")
+    for index, task in enumerate(tasks):
+        prefix: Field = ("tasks", index)
+        yield from _known((*prefix, "owner"), task.owner, robots, f"the robots of fleet {fleet.name}")
         if not (isfinite(task.offset_s) and 0 <= task.offset_s <= END_US / 1e6):
-            yield Problem((*about, "offset_s"), printable.number(task.offset_s), f"seconds from 0 to {END_US / 1e6:g}")
+            yield Problem((*prefix, "offset_s"), printable.number(task.offset_s), f"seconds from 0 to {END_US / 1e6:g}")
         if not task.steps:
-            yield Problem((*about, "steps"), "none", "at least one step")
+            yield Problem((*prefix, "steps"), "none", "at least one step")
         for number, step in enumerate(task.steps):
-            yield from _problems_of_step((*about, "steps", number), step, robots, fleet)
+            yield from _problems_of_step((*prefix, "steps", number), step, robots, fleet)
         numbers = [str(number) for number in range(1, len(task.steps) + 1)]
-        yield from _each((*about, "checkpoints"), task.checkpoints or (), numbers, "the numbers of its steps")
+        yield from _each((*prefix, "checkpoints"), task.checkpoints or (), numbers, "the numbers of its steps")
 
 
 def _problems_of_step(field: Field, step: str, robots: dict[str, Robot], fleet: Fleet) -> Iterator[Problem]:
@@ -227,37 +234,37 @@ def _problems_of_step(field: Field, step: str, robots: dict[str, Robot], fleet: 
         return
     actor, capability, *target = words
     yield from _known(field, actor, robots, f"the robots of fleet {fleet.name}")
-    names = [one.name for one in fleet.capabilities]
+    names = [entry.name for entry in fleet.capabilities]
     yield from _known(field, capability, names, "the capabilities of the fleet")
     for doer in target or [actor]:
         if doer not in robots:
             if target:
                 yield from _known(field, doer, robots, f"the robots of fleet {fleet.name}")
         elif capability in names and capability not in robots[doer].capabilities:
-            able = [name for name, robot in robots.items() if capability in robot.capabilities and name != actor]
-            to = f", or {actor} {capability} {able[0]} to delegate it" if able and not target else ""
-            has = f"{doer}'s own: {', '.join(robots[doer].capabilities) or 'none'}"
-            yield Problem(field, f"{capability}, which {doer} cannot do", f"a capability of {has}{to}")
+            capable = [name for name, robot in robots.items() if capability in robot.capabilities and name != actor]
+            hint = f", or {actor} {capability} {capable[0]} to delegate it" if capable and not target else ""
+            own = f"{doer}'s own: {', '.join(robots[doer].capabilities) or 'none'}"
+            yield Problem(field, f"{capability}, which {doer} cannot do", f"a capability of {own}{hint}")
     if target and target[0] == actor:
         yield Problem(field, f"{actor} as its own target", f"{actor} {capability} for its own step, or another robot")
 
 
 def _trusts(fleet: Fleet, robot: Robot, peer: Robot) -> bool:
-    """Tell whether the robot trusts the peer at the founding: the entry of the smallest domain of both holds."""
+    """Return whether the robot trusts the peer at the founding, by the entry of the smallest domain of both."""
     roles = robot.kind, peer.kind
     entries = [
-        (len(one.domain), one.scope)
-        for one in fleet.trust
-        if roles == (one.role, one.peer_role) or (one.is_mutual and roles == (one.peer_role, one.role))
-        if is_within(robot.domain, one.domain) and is_within(peer.domain, one.domain)
+        (len(entry.domain), entry.scope)
+        for entry in fleet.trust
+        if roles == (entry.role, entry.peer_role) or (entry.is_mutual and roles == (entry.peer_role, entry.role))
+        if is_within(robot.domain, entry.domain) and is_within(peer.domain, entry.domain)
     ]
     return max(entries, default=(0, "none"), key=lambda entry: entry[0])[1] != "none"
 
 
 def _within(field: Field, domain: str, fleet: Fleet) -> Iterator[Problem]:
     if not any(is_within(robot.domain, domain) for robot in fleet.robots):
-        found = tuple(dict.fromkeys(robot.domain for robot in fleet.robots if robot.domain))
-        yield from _known(field, domain, found, "the domains of the fleet's robots, or one around them")
+        domains = tuple(dict.fromkeys(robot.domain for robot in fleet.robots if robot.domain))
+        yield from _known(field, domain, domains, "the domains of the fleet's robots, or one around them")
 
 
 def _named(field: Field, name: str, pattern: re.Pattern[str], expected: str) -> Iterator[Problem]:
@@ -265,15 +272,15 @@ def _named(field: Field, name: str, pattern: re.Pattern[str], expected: str) -> 
         yield Problem(field, printable.value(name), expected)
 
 
-def _first(field: Field, name: str, before: Sequence[str], found: str) -> Iterator[Problem]:
-    if name in before:
+def _first(field: Field, name: str, earlier: Sequence[str], found: str) -> Iterator[Problem]:
+    if name in earlier:
         yield Problem(field, f"{found}: {printable.value(name)}", "each once")
 
 
 def _each(field: Field, names: Sequence[str], known: Collection[str], what: str) -> Iterator[Problem]:
-    for at, name in enumerate(names):
-        yield from _known((*field, at), name, known, what)
-        yield from _first((*field, at), name, names[:at], "it twice")
+    for index, name in enumerate(names):
+        yield from _known((*field, index), name, known, what)
+        yield from _first((*field, index), name, names[:index], "it twice")
 
 
 def _known(field: Field, name: str, known: Collection[str], what: str) -> Iterator[Problem]:

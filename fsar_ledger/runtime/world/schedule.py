@@ -57,7 +57,7 @@ def schedule(constants: Constants, seed: int, scenario: str, run: int, fleet_siz
 
 
 def arrivals_expected(constants: Constants, fleet_size: int) -> float:
-    """Return how many arrivals to expect in a run with these rates.
+    """Return the mean number of arrivals in a run with these rates.
 
     They make up nearly all of its facts, except for a few of each robot, task and window.
     """
@@ -96,27 +96,27 @@ def teams_working(constants: Constants, fleet_size: int) -> int:
 
 
 def _expected(mean_s: float, until_s: float) -> float:
-    """Return how many instants `_arrivals` gives on average; they are at least a microsecond apart."""
+    """Return the mean number of instants of `_arrivals`, which are at least a microsecond apart."""
     return max(0.0, until_s * 1e6) / max(1.0, mean_s * 1e6)
 
 
 def _disturbed(constants: Constants, key: bytes, scenario: Scenario, fleet_size: int) -> tuple[Fact, ...]:
-    """Return the tasks of the scenario, in a world that disturbs them."""
+    """Return the tasks of the scenario and the disturbances of the world."""
     world, outages = constants.world, constants.outages
     everyone = members(fleet_size, constants.fleet)
     supervised = _supervised(everyone)
     facts: list[Fact] = [(1, SyncPhaseSet(round(Stream(key, "sync-phase").uniform() * 1e6)))]
     working = teams_working(constants, fleet_size)
     for _, floor in groupby(everyone, lambda member: floor_of(member.team, world.floor_teams)):
-        there = list(floor)
-        for member in there:
+        on_floor = list(floor)
+        for member in on_floor:
             name, team, _ = member
             facts.append((1, SnapshotPhaseSet(name, round(Stream(key, f"snapshot-phase/{name}").uniform() * 1e6))))
             facts += _contexts(world, key, name)
             facts += _fleet_rules(world, key, name)
             facts += _in_the_way(world, key, name, "obstruction", world.obstruction_rate_per_s)
             # See docs/decisions/fleets-share-a-floor.md.
-            others = sum(other.team != team for other in there)  # one team keeps out of its own way
+            others = sum(other.team != team for other in on_floor)  # one team keeps out of its own way
             facts += _in_the_way(world, key, name, "crowding", world.crowding_rate_per_s * others)
             if team <= working:
                 facts += _routine(world, key, name)
@@ -126,7 +126,7 @@ def _disturbed(constants: Constants, key: bytes, scenario: Scenario, fleet_size:
                 facts += _outages(outages, key, name, world.horizon_s)
             if constants.membership is not None:
                 facts += _departures(constants.membership, key, name, world.horizon_s)
-        for one, other in combinations(there, 2):
+        for one, other in combinations(on_floor, 2):
             meetings = Stream(key, f"encounter/{one.name}/{other.name}")
             instants = _arrivals(meetings, world.encounter_mean_s, world.horizon_s)
             facts += [(time_us, PeersMet(one.name, other.name)) for time_us in instants]
@@ -141,7 +141,7 @@ def _disturbed(constants: Constants, key: bytes, scenario: Scenario, fleet_size:
 
 
 def _apart(facts: list[Fact]) -> tuple[Fact, ...]:
-    """Return the facts moved so that no two share a microsecond, without those after the end of any run."""
+    """Move the facts so that no two share a microsecond, and drop those after the latest end of a run."""
     apart: list[Fact] = []
     last_us = 0
     for time_us, event in facts:
@@ -225,7 +225,7 @@ def _routine(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]:
 def _absences(constants: Constants, key: bytes, supervisor: Supervisor, robots: Sequence[Member]) -> list[Fact]:
     """Return the spells in which the supervisor of these robots is absent, none overlapping.
 
-    They are the one absence that is drawn, by the first of the robots, and those when off shift by the fleet's design.
+    They are one drawn absence, keyed by the first robot, and the off-shift spells of the fleet's design.
     """
     world, fleet = constants.world, constants.fleet
     start_s = (
@@ -236,9 +236,9 @@ def _absences(constants: Constants, key: bytes, supervisor: Supervisor, robots: 
     spells = [] if returned_us <= 0 else [(max(1, left_us), returned_us)]
     if fleet is not None:
         spells += [
-            (max(1, round(one.from_s * 1e6)), END_US + 1 if one.to_s is None else round(one.to_s * 1e6))
-            for one in fleet.off_shift
-            if any(fleet.is_off_shift(one, member.design) for member in robots)
+            (max(1, round(shift.from_s * 1e6)), END_US + 1 if shift.to_s is None else round(shift.to_s * 1e6))
+            for shift in fleet.off_shift
+            if any(fleet.is_off_shift(shift, member.design) for member in robots)
         ]
     facts: list[Fact] = []
     for left_us, returned_us in _merged(spells):
@@ -247,23 +247,23 @@ def _absences(constants: Constants, key: bytes, supervisor: Supervisor, robots: 
 
 
 def _supervised(robots: Sequence[Member]) -> dict[Supervisor, list[Member]]:
-    """Return the robots of each supervisor but the fleet's."""
-    found: dict[Supervisor, list[Member]] = {}
+    """Return the robots of each supervisor except the fleet's."""
+    robots_of: dict[Supervisor, list[Member]] = {}
     for member in robots:
         if member.supervisor is not None:
-            found.setdefault(member.supervisor, []).append(member)
-    return found
+            robots_of.setdefault(member.supervisor, []).append(member)
+    return robots_of
 
 
 def _merged(spells: list[tuple[int, int]]) -> list[tuple[int, int]]:
     """Return the spells in order, merged where they overlap or touch."""
-    found: list[tuple[int, int]] = []
+    merged: list[tuple[int, int]] = []
     for begin, end in sorted(spells):
-        if found and begin <= found[-1][1]:
-            found[-1] = (found[-1][0], max(found[-1][1], end))
+        if merged and begin <= merged[-1][1]:
+            merged[-1] = (merged[-1][0], max(merged[-1][1], end))
         else:
-            found.append((begin, end))
-    return found
+            merged.append((begin, end))
+    return merged
 
 
 def _outages(outages: Outages, key: bytes, robot: Robot, until_s: float) -> list[Fact]:
@@ -273,22 +273,22 @@ def _outages(outages: Outages, key: bytes, robot: Robot, until_s: float) -> list
         ("off", outages.off_rate_per_s, outages.off_mean_s, (RobotWentOff(robot), RobotCameBack(robot))),
         ("link", outages.link_rate_per_s, outages.link_mean_s, (LinkWentDown(robot), LinkCameUp(robot))),
     ):
-        before, lengths = Stream(key, f"{name}/{robot}"), Stream(key, f"{name}-length/{robot}")
-        facts += _spells(before, lengths, _mean_s(rate_per_s), mean_s, from_us, until_s, edges)
+        gaps, lengths = Stream(key, f"{name}/{robot}"), Stream(key, f"{name}-length/{robot}")
+        facts += _spells(gaps, lengths, _mean_s(rate_per_s), mean_s, from_us, until_s, edges)
     lost = _arrivals(Stream(key, f"loss/{robot}"), _mean_s(outages.loss_rate_per_s), until_s - outages.from_s)
     return facts + [(from_us + after_us, ActuatorDegraded(robot, "lost")) for after_us in lost]
 
 
 def _departures(membership: Membership, key: bytes, robot: Robot, until_s: float) -> list[Fact]:
-    """Return the times for which the robot is away; who is called away knows it before it goes.
+    """Return the spells for which the robot is away; a robot that is called away is notified before it goes.
 
-    The world knows no fleet and no members: the robot is off meanwhile, as in an outage that lasts longer.
+    The world has no notion of membership: the robot is off meanwhile, as in a longer outage.
     """
-    before, lengths = Stream(key, f"away/{robot}"), Stream(key, f"away-length/{robot}")
+    gaps, lengths = Stream(key, f"away/{robot}"), Stream(key, f"away-length/{robot}")
     calls, notice_us = Stream(key, f"away-called/{robot}"), max(1, round(membership.notice_s * 1e6))
     edges = (RobotWentOff(robot), RobotCameBack(robot))
     rate_per_s, mean_s = membership.away_rate_per_s, membership.away_mean_s
-    spells, facts = _spells(before, lengths, _mean_s(rate_per_s), mean_s, 0, until_s, edges), list[Fact]()
+    spells, facts = _spells(gaps, lengths, _mean_s(rate_per_s), mean_s, 0, until_s, edges), list[Fact]()
     for off, back in zip(spells[::2], spells[1::2], strict=True):
         if calls.uniform() < membership.announced_share:
             facts.append((max(1, off[0] - notice_us), RobotCalledAway(robot)))
@@ -297,24 +297,24 @@ def _departures(membership: Membership, key: bytes, robot: Robot, until_s: float
 
 
 def _spells(
-    before: Stream,
+    gaps: Stream,
     lengths: Stream,
-    before_s: float,
+    gap_s: float,
     length_s: float,
     from_us: int,
     until_s: float,
     edges: tuple[Event, Event],
 ) -> list[Fact]:
-    """Yield the beginning and the end of each spell that begins in time.
+    """Return the beginning and the end of each spell that begins in time.
 
     Spells and the times between them are exponentially distributed.
     """
     facts: list[Fact] = []
-    begins_us, until_us = from_us + before.exponential_us(before_s), round(until_s * 1e6)
+    begins_us, until_us = from_us + gaps.exponential_us(gap_s), round(until_s * 1e6)
     while begins_us < until_us:
         ends_us = begins_us + lengths.exponential_us(length_s)
         facts += [(begins_us, edges[0]), (ends_us, edges[1])]
-        begins_us = ends_us + before.exponential_us(before_s)
+        begins_us = ends_us + gaps.exponential_us(gap_s)
     return facts
 
 
@@ -353,7 +353,7 @@ def _tasks(world: WorldConstants, key: bytes, scenario: Scenario, team: int, loa
 
 
 WEAR_AFTER_US = 1_000_000
-"""How long after the tasks arrive an actuator degrades: while its robot is on its first way, at least 2 s long."""
+"""The time from the tasks' arrival to the wear of an actuator: during its robot's first approach of at least 2 s."""
 
 
 def workflow_facts(world: WorldConstants, key: bytes, workflow: Workflow) -> list[tuple[int, Event]]:
