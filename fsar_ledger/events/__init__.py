@@ -1,6 +1,6 @@
 """Typed events: the facts a ledger holds.
 
-One file per concept; imports msgspec only. Earlier versions are in `retired.py`, for those who read what is stored.
+One file per concept; imports msgspec only. Earlier versions are in `retired.py`, for readers of stored rows.
 """
 
 from collections.abc import Mapping
@@ -58,7 +58,7 @@ Event 0 of any other run is `RunStarted`.
 EVENT_TYPES: tuple[type[Event], ...] = tuple(
     sorted((kind for module in _MODULES for kind in _types_in(module)), key=ALONE.__contains__)
 )
-"""Every event type that the file of a concern defines; plans and heads of shards come last."""
+"""Every event type that a concern's file defines; plans and heads of shards come last."""
 
 # See docs/decisions/unobserved-is-null.md.
 CONCERNS: tuple[str, ...] = (
@@ -96,7 +96,7 @@ BESIDE: Mapping[str, str | None] = {
     "InternalHandoff": "message",
     "RoutineReported": "message",
 }
-"""The types, whatever their version, whose concern is not their file, and those of which every version is retired.
+"""The types, in any version, whose concern is not their file's, and those of which every version is retired.
 
 None: the type describes the run itself and belongs to no concern.
 """
@@ -104,14 +104,14 @@ None: the type describes the run itself and belongs to no concern.
 
 def _concerns() -> dict[str, str]:
     """Return the concern of each event type by name. Raises: TypeError if a type's file is not named after one."""
-    found: dict[str, str | None] = {kind.__name__: kind.__module__.rpartition(".")[2] for kind in EVENT_TYPES}
-    found |= BESIDE
-    if stray := sorted(name for name, concern in found.items() if concern not in (None, *CONCERNS)):
+    concerns: dict[str, str | None] = {kind.__name__: kind.__module__.rpartition(".")[2] for kind in EVENT_TYPES}
+    concerns |= BESIDE
+    if stray := sorted(name for name, concern in concerns.items() if concern not in (None, *CONCERNS)):
         raise TypeError(
             f"{', '.join(stray)}: found in a file not named after a concern, expected one of {', '.join(CONCERNS)}; "
             "move it, or name its concern in BESIDE, fsar_ledger/events/__init__.py"
         )
-    return {name: concern for name, concern in found.items() if concern is not None}
+    return {name: concern for name, concern in concerns.items() if concern is not None}
 
 
 CONCERN_OF: dict[str, str] = _concerns()

@@ -1,4 +1,4 @@
-"""Commands from outside: what was given to a run, and what could not be carried out."""
+"""Commands from outside: those given to a run, and those that could not be executed."""
 
 from .envelope import Event, Principal
 

@@ -7,10 +7,10 @@ from .envelope import Architecture
 
 Mechanism = Literal["trust-evaluation", "policy-composition", "layered-recovery", "shared-registry"]
 MECHANISMS: tuple[Mechanism, ...] = get_args(Mechanism)
-"""The mechanisms of FSAR that the paper's ablation table takes out."""
+"""The mechanisms of FSAR that the paper's ablation table removes."""
 
 PAPER_ARCHITECTURES: tuple[Architecture, ...] = ("fsar", "cfc", "dhma")
-"""The three that the paper compares, and that are simulated if no others are asked for. Paper: sec:evaluation."""
+"""The three that the paper compares, which are simulated by default. Paper: sec:evaluation."""
 
 ARCHITECTURES: tuple[Architecture, ...] = (
     "fsar",
@@ -57,7 +57,7 @@ MECHANISMS_OF: dict[Architecture, dict[str, str]] = {
         "nested-queries": "nested queries carry requests past visibility (else they come to nothing)",
     },
 }
-"""Every mechanism that can be taken out of each architecture: what it does, and what replaces it.
+"""Every mechanism that can be removed from each architecture: what it does, and what replaces it.
 
 No two mechanisms share a name. The handlers check the paper's four; `runtime.knockouts` holds the others.
 """
@@ -65,7 +65,7 @@ No two mechanisms share a name. The handlers check the paper's four; `runtime.kn
 EVERY_MECHANISM: tuple[str, ...] = tuple(name for names in MECHANISMS_OF.values() for name in names)
 
 Configuration: TypeAlias = str
-"""`full`, or `without-` and the mechanisms that are taken out, joined by `+`.
+"""`full`, or `without-` and the removed mechanisms, joined by `+`.
 
 For example `without-trust-evaluation` or `without-trust-evaluation+shared-registry`.
 """
@@ -77,7 +77,7 @@ _WITHOUT = "without-"
 def without(mechanisms: Iterable[str]) -> Configuration:
     """Name the configuration that lacks these mechanisms, each once, in the order of `EVERY_MECHANISM`."""
     lacking = set(mechanisms)
-    return _WITHOUT + "+".join(one for one in EVERY_MECHANISM if one in lacking) if lacking else FULL
+    return _WITHOUT + "+".join(name for name in EVERY_MECHANISM if name in lacking) if lacking else FULL
 
 
 def removed_mechanisms(configuration: str) -> frozenset[str]:
@@ -97,9 +97,9 @@ def is_known(configuration: str) -> bool:
 
 def rank(configuration: Configuration) -> tuple[int, tuple[int, ...]]:
     """Return the rank of a known configuration: full first, then those that lack one mechanism, then two."""
-    lacking = [EVERY_MECHANISM.index(one) for one in EVERY_MECHANISM if one in removed_mechanisms(configuration)]
+    lacking = [EVERY_MECHANISM.index(name) for name in EVERY_MECHANISM if name in removed_mechanisms(configuration)]
     return len(lacking), tuple(lacking)
 
 
-CONFIGURATIONS: tuple[Configuration, ...] = (FULL, *(without([one]) for one in MECHANISMS))
+CONFIGURATIONS: tuple[Configuration, ...] = (FULL, *(without([mechanism]) for mechanism in MECHANISMS))
 """The configurations of the paper's ablation table: full, and without one mechanism each."""

@@ -51,10 +51,10 @@ class Part(msgspec.Struct, frozen=True, gc=False):
 
 def flat(event: Event) -> dict[str, Any]:
     """Return the stored columns of an event by name: its fields, and those of its parts."""
-    found: dict[str, Any] = {}
+    columns: dict[str, Any] = {}
     for name, value in msgspec.structs.asdict(event).items():
-        found |= msgspec.structs.asdict(value) if isinstance(value, Part) else {name: value}
-    return found
+        columns |= msgspec.structs.asdict(value) if isinstance(value, Part) else {name: value}
+    return columns
 
 
 def with_columns(event: _Event, **columns: object) -> _Event:
@@ -151,7 +151,7 @@ def robot_of(agent: Agent) -> Robot:
 
 
 def as_robot(principal: Principal) -> Robot:
-    """Return the principal as the robot that it is. Raises: ValueError where it is none."""
+    """Return the principal as a robot. Raises: ValueError if it is not one."""
     if not principal.startswith("robot/"):
         raise ValueError(f"found the principal {principal!r}, expected a robot such as 'robot/A1'")
     return Robot(principal)

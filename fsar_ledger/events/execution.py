@@ -1,4 +1,4 @@
-"""Execution of a capability by its robot, and what a robot does of its own accord.
+"""Execution of capabilities by robots, and the routine operations of a robot.
 
 `robot` is the body that moves, `on_behalf_of` the robot whose step it is. These are physical facts, kept beside the
 principals that the architecture recorded, which may be None.

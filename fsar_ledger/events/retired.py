@@ -44,23 +44,23 @@ class Addition(NamedTuple):
 def adding(before: type[_Before], after: type[_After], **added: Value) -> Upcaster[_Before, _After]:
     """Return the step to a next version that only adds these fields, with the same values in every event.
 
-    Every field of the version before is kept. A new field that is not named here gets its default, also in SQL.
+    Every field of the previous version is kept. A new field that is not named here gets its default, also in SQL.
 
     Raises:
-        TypeError: `after` needs a field that neither the version before nor this step gives, lacks one of them, or
-            cannot hold a value.
+        TypeError: `after` needs a field that neither the previous version nor this step provides, lacks one of them,
+            or cannot hold a value.
     """
     fields = {field.name: field for field in msgspec.structs.fields(after)}
-    given = {*before.__struct_fields__, *added}
-    lacking = sorted({name for name, field in fields.items() if field.required} - given)
-    if lacking or not given <= fields.keys() or not added.keys().isdisjoint(before.__struct_fields__):
-        own = sorted(fields.keys() - set(before.__struct_fields__))
+    provided = {*before.__struct_fields__, *added}
+    lacking = sorted({name for name, field in fields.items() if field.required} - provided)
+    if lacking or not provided <= fields.keys() or not added.keys().isdisjoint(before.__struct_fields__):
+        available = sorted(fields.keys() - set(before.__struct_fields__))
         raise TypeError(
             f"upcaster of {_tag(before)}: found that it adds {sorted(added)} and lacks {lacking}, "
-            f"expected of {own}; write a change instead"
+            f"expected of {available}; write a change instead"
         )
     added = {
-        name: field.default for name, field in fields.items() if name not in given and field.default is not None
+        name: field.default for name, field in fields.items() if name not in provided and field.default is not None
     } | added
     for field in msgspec.structs.fields(before):
         if not _takes(fields[field.name].type, field.type):
@@ -81,19 +81,19 @@ def adding(before: type[_Before], after: type[_After], **added: Value) -> Upcast
     return Upcaster(before, after, change, added)
 
 
-def _takes(kind: Any, before: Any) -> bool:
-    """Return whether a field of this type takes every value of the type before.
+def _takes(kind: Any, previous: Any) -> bool:
+    """Return whether a field of this type takes every value of the previous type.
 
     It does if it is the same type, has a wider choice of words, or takes None as well.
     """
-    if kind == before:
+    if kind == previous:
         return True
-    if get_origin(before) in _UNIONS:
-        return all(_takes(kind, one) for one in get_args(before))
+    if get_origin(previous) in _UNIONS:
+        return all(_takes(kind, option) for option in get_args(previous))
     if get_origin(kind) in _UNIONS:
-        return any(_takes(one, before) for one in get_args(kind))
-    if get_origin(before) is Literal:
-        words = get_args(before)
+        return any(_takes(option, previous) for option in get_args(kind))
+    if get_origin(previous) is Literal:
+        words = get_args(previous)
         if get_origin(kind) is Literal:
             return set(words) <= set(get_args(kind))
         return all(type(word) is kind for word in words)
@@ -103,7 +103,7 @@ def _takes(kind: Any, before: Any) -> bool:
 def upcasters_of(
     current: Iterable[type[Event]], retired: Iterable[type[Event]], upcasters: Iterable[Upcaster[Any, Any]]
 ) -> Mapping[type[Event], tuple[Upcaster[Any, Any], ...]]:
-    """Return the steps from each retired type to a current one, one version of the same name a step.
+    """Return the steps from each retired type to a current one, one version of the same name per step.
 
     Raises:
         TypeError: A tag has no version or occurs twice; a name's versions do not go from 1 to the current one without
@@ -144,7 +144,7 @@ def upcasters_of(
 
 
 def additions(ways: Mapping[type[Event], tuple[Upcaster[Any, Any], ...]]) -> Mapping[type[Event], Addition]:
-    """Return each retired type whose steps all only add fields, with its current type and what is added."""
+    """Return each retired type whose steps all only add fields, with its current type and the added fields."""
     return {
         cls: Addition(way[-1].after, {name: value for step in way for name, value in (step.added or {}).items()})
         for cls, way in ways.items()
@@ -158,7 +158,7 @@ def _tag(cls: type[Event]) -> str:
 
 
 def _version(cls: type[Event]) -> tuple[str, int]:
-    """Return name and version number of an event type. Raises: TypeError for a tag that has none."""
+    """Return the name and version number of an event type. Raises: TypeError for a tag without a version."""
     name, _, number = _tag(cls).rpartition(".v")
     if not name or not number.isdecimal() or number != str(int(number)) or number == "0":
         raise TypeError(

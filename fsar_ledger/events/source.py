@@ -1,7 +1,7 @@
 """Where a foreign run comes from, and each record of its source as it was read.
 
-Typed events are derived from these records and caused by them. A record that no typed event says is kept all the same,
-so nothing of an input is lost silently. None of these types is evidence that something did not happen.
+Typed events are derived from these records and caused by them. A record without a typed event is kept all the same, so
+nothing of an input is lost silently. None of these types is evidence that something did not happen.
 """
 
 from typing import Literal
