@@ -1,8 +1,8 @@
-"""What reads a format, the records of a source and the typed events that follow from them, and what it is given.
+"""Readers of formats, the records of a source, the typed events that follow from them, and the inputs.
 
 An adapter is made for one import and keeps what it has seen in it. Others publish their own under the entry point
-`fsar_ledger.sources`, as a class without arguments. Most formats are lines of JSON, read one at a time: what cannot be
-read is told, and the lines after it are read all the same.
+`fsar_ledger.sources`, as a class without arguments. Most formats are lines of JSON, read one at a time: an unreadable
+line is reported, and the lines after it are read all the same.
 """
 
 import sys
@@ -25,14 +25,14 @@ from fsar_ledger.events import Event
 
 ENTRY_POINTS = "fsar_ledger.sources"
 MAX_LINE = 1 << 24
-"""Bytes of one line; a longer one is no record of any source that is known here."""
+"""The most bytes of a line; no known source has longer records."""
 
 LOOKED_AT = 100
-"""Records at the beginning of which one at least is known, where an input is of the format."""
+"""The records at the beginning of an input of which at least one must be of the format."""
 
 BOM = b"\xef\xbb\xbf"
 COMPRESSED = {b"\x1f\x8b": "zcat", b"\x28\xb5\x2f\xfd": "zstdcat", b"BZh": "bzcat", b"\xfd7zXZ\x00": "xzcat"}
-"""How a file begins that is compressed as a whole, and what writes it as it was."""
+"""The first bytes of a compressed file, and the command that writes it uncompressed."""
 
 One = TypeVar("One")
 _DECODER = msgspec.json.Decoder()
@@ -55,11 +55,11 @@ class Record(NamedTuple):
 
     `kind` is what the source calls it, `values` what it says and `objects` what it is about, by name, each with its
     part. `raw` are its bytes, `data` whatever the adapter needs to derive events from it. A record that could not be
-    read has no data, and its kind is `unreadable`. `line` are the bytes of the line that it is the first of, if that
-    has several records: of one that was still being written, there was one record.
+    read has no data, and its kind is `unreadable`. `line` are the bytes of the line if this is the first of several
+    records in it: while the line was still being written, it was one record.
 
-    Units: `source_us` and `arrival_us` microseconds since 1970 in UTC, by the clock of the source and of whoever
-    received it; None: not told.
+    Units: `source_us` and `arrival_us` microseconds since 1970 in UTC, by the clocks of the source and of the
+    receiver; None: unknown.
     """
 
     kind: str
@@ -84,7 +84,7 @@ class Derived(NamedTuple):
 
 
 class Adapter(Protocol):
-    """Reads one format."""
+    """A reader of one format."""
 
     name: str
     version: str
@@ -93,7 +93,7 @@ class Adapter(Protocol):
 
     @property
     def format(self) -> str:
-        """The format and its version, as in `vda5050/2.1.0`; what it is taken to be before any record was read."""
+        """The format and its version, as in `vda5050/2.1.0`; presumed until a record was read."""
         ...
 
     def declares(self) -> Iterable[str]:
@@ -101,14 +101,14 @@ class Adapter(Protocol):
         ...
 
     def read(self, inputs: Iterable[Input]) -> Iterator[Record]:
-        """Yield every record of the inputs, in order: also those that cannot be read.
+        """Yield every record of the inputs, in order, including unreadable ones.
 
         Raises: UsageError for an input that is not of the format at all.
         """
         ...
 
     def derive(self, record: Record) -> Iterable[Derived] | None:
-        """Return what follows from the record; nothing, if it is understood and says nothing; None if it is not."""
+        """Return the events that follow from the record, if any; None if it is not understood."""
         ...
 
 
@@ -116,7 +116,7 @@ UNREADABLE = "unreadable"
 
 
 def unreadable(raw: bytes, why: object) -> Record:
-    """Return a record of what could not be read."""
+    """Return a record of bytes that could not be read."""
     return Record(UNREADABLE, raw, values={"why": f"{why!s:.200}"})
 
 
@@ -128,7 +128,7 @@ OWN = tuple(
 
 
 def _installed() -> dict[str, EntryPoint]:
-    return {one.name: one for one in (*OWN, *entry_points(group=ENTRY_POINTS))}
+    return {entry_point.name: entry_point for entry_point in (*OWN, *entry_points(group=ENTRY_POINTS))}
 
 
 def adapter_named(name: str) -> Adapter:
@@ -136,20 +136,20 @@ def adapter_named(name: str) -> Adapter:
 
     Raises: UsageError if there is none, or if what it needs is not installed.
     """
-    found = _installed()
-    if name not in found:
+    adapters = _installed()
+    if name not in adapters:
         raise UsageError(
-            f"--as {value(name)}: found no adapter of that name, expected one of {', '.join(sorted(found))}"
-            f"{did_you_mean(name, found)}; or describe the format in a mapping (--with)"
+            f"--as {value(name)}: found no adapter of that name, expected one of {', '.join(sorted(adapters))}"
+            f"{did_you_mean(name, adapters)}; or describe the format in a mapping (--with)"
         )
     try:
-        made: Adapter = found[name].load()()
+        adapter: Adapter = adapters[name].load()()
     except ModuleNotFoundError as error:
         raise UsageError(
             f"--as {name}: found no module {error.name}, which it needs; install it with `pip install "
             f"'fsar-ledger[{name}]'`"
         ) from error
-    return made
+    return adapter
 
 
 STDIN = "-"
@@ -164,7 +164,7 @@ def opened(logs: Sequence[str]) -> Iterator[list[Input]]:
     if not logs:
         raise UsageError("import: found no file, expected at least one, or - for standard input")
     with ExitStack() as stack:
-        found: list[Input] = []
+        inputs: list[Input] = []
         for log in logs:
             path = Path(log)
             try:
@@ -174,8 +174,8 @@ def opened(logs: Sequence[str]) -> Iterator[list[Input]]:
                     f"{value(log)}: cannot be read ({error.strerror}); name a file, or - for standard input"
                 ) from error
             is_file = log != STDIN and file.seekable()  # a pipe cannot be read twice
-            found.append(Input("stdin" if log == STDIN else path.stem, path if is_file else None, file))
-        yield found
+            inputs.append(Input("stdin" if log == STDIN else path.stem, path if is_file else None, file))
+        yield inputs
 
 
 def adapter_of(name: str | None, mapping: Path | None) -> tuple[Adapter, str | None]:
@@ -201,10 +201,10 @@ def adapter_of(name: str | None, mapping: Path | None) -> tuple[Adapter, str | N
 def looked(adapter: Adapter, inputs: Sequence[Input]) -> Adapter:
     """Let the adapter look at its inputs before there is a ledger, and before it declares anything.
 
-    One whose declarations depend on them has a method `look`; with any other, files are read up to the first record.
-    Each file is at its beginning afterwards.
+    An adapter whose declarations depend on its inputs has a method `look`; for any other, files are read up to the
+    first record. Each file is at its beginning afterwards.
 
-    Raises: UsageError for files without a record, or as `Adapter.read`; it says of a compressed file that it is one.
+    Raises: UsageError for files without a record, or as `Adapter.read`; it says if a file is compressed.
     """
     try:
         _look(adapter, inputs)
@@ -216,23 +216,23 @@ def looked(adapter: Adapter, inputs: Sequence[Input]) -> Adapter:
 def _look(adapter: Adapter, inputs: Sequence[Input]) -> None:
     if (look := getattr(adapter, "look", None)) is not None:
         look(inputs)
-    elif all(one.path is not None for one in inputs):
+    elif all(log.path is not None for log in inputs):
         if next(iter(deepcopy(adapter).read(inputs)), None) is None:
             raise no_record(inputs)
-        for one in inputs:
-            one.file.seek(0)
+        for log in inputs:
+            log.file.seek(0)
 
 
 def _compressed(inputs: Iterable[Input]) -> UsageError | None:
-    """Return that one of the files is compressed as a whole, None if none is."""
-    for one in inputs:
-        if one.path is None:
+    """Return the error for a compressed file, None if no file is compressed."""
+    for log in inputs:
+        if log.path is None:
             continue
-        one.file.seek(0)
-        begins = one.file.read(max(map(len, COMPRESSED)))
+        log.file.seek(0)
+        head = log.file.read(max(map(len, COMPRESSED)))
         for mark, writer in COMPRESSED.items():
-            if begins.startswith(mark):
-                name = value(str(one.path))
+            if head.startswith(mark):
+                name = value(str(log.path))
                 return UsageError(
                     f"{name}: found a compressed file, expected one that is not; uncompress it, or give {STDIN} as "
                     f"the file and pipe the output of `{writer} {name}`"
@@ -241,24 +241,24 @@ def _compressed(inputs: Iterable[Input]) -> UsageError | None:
 
 
 def digest_of(inputs: Sequence[Input]) -> str | None:
-    """Return the SHA-256 of the files one after the other; None where one is no file."""
-    if any(one.path is None for one in inputs):
+    """Return the SHA-256 of the files' concatenated bytes; None if one is a stream."""
+    if any(log.path is None for log in inputs):
         return None
     digest = sha256()
-    for one in inputs:
-        for block in _blocks(one):
+    for log in inputs:
+        for block in _blocks(log):
             digest.update(block)
-        one.file.seek(0)
+        log.file.seek(0)
     return digest.hexdigest()
 
 
-def _blocks(one: Input) -> Iterator[bytes]:
-    while block := one.file.read(1 << 20):
+def _blocks(log: Input) -> Iterator[bytes]:
+    while block := log.file.read(1 << 20):
         yield block
 
 
 def no_record(inputs: Sequence[Input]) -> UsageError:
-    """Return that the inputs are empty."""
+    """Return the error for empty inputs."""
     return UsageError(f"{value(inputs[0].name)}: found no record, expected at least one; import it when it has")
 
 
@@ -273,16 +273,16 @@ def read(path: Path) -> bytes:
 def named_robots(path: Path) -> dict[str, str]:
     """Return the role of each robot that a TOML file names under [robots].
 
-    Raises: UsageError for a file that is no such table of texts, has another one, or names a robot twice.
+    Raises: UsageError for a file without such a table of texts, with another table, or with a robot twice.
     """
     try:
-        found = tomllib.loads(read(path).decode())
+        data = tomllib.loads(read(path).decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"{value(str(path))}: {error}; expected TOML with a table [robots]") from error
-    named = list(_flat(found["robots"])) if isinstance(found.get("robots"), dict) else None
-    if named is None or found.keys() != {"robots"} or not all(isinstance(role, str) for _, role in named):
+    named = list(_flat(data["robots"])) if isinstance(data.get("robots"), dict) else None
+    if named is None or data.keys() != {"robots"} or not all(isinstance(role, str) for _, role in named):
         raise UsageError(
-            f"{value(str(path))}: found {value(', '.join(found))}, expected only a table [robots] with a role for each "
+            f"{value(str(path))}: found {value(', '.join(data))}, expected only a table [robots] with a role for each "
             'name, as in `KIT.0001 = "agv"`'
         )
     names = Counter(name.removeprefix("robot/") for name, _ in named)
@@ -292,26 +292,26 @@ def named_robots(path: Path) -> dict[str, str]:
 
 
 def _flat(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield the values by name: TOML takes `KIT.0001 = "agv"` for a table KIT with a key 0001."""
-    for name, found in table.items():
-        if isinstance(found, dict):
-            yield from ((f"{name}.{rest}", one) for rest, one in _flat(found))
+    """Yield the values by dotted name: TOML reads `KIT.0001 = "agv"` as a table KIT with a key 0001."""
+    for name, entry in table.items():
+        if isinstance(entry, dict):
+            yield from ((f"{name}.{rest}", leaf) for rest, leaf in _flat(entry))
         else:
-            yield name, found
+            yield name, entry
 
 
 def lines(inputs: Iterable[Input]) -> Iterator[bytes]:
-    """Yield the lines of the inputs without their ends, but for blank ones; one that is too long comes in parts."""
-    for one in inputs:
+    """Yield the nonempty lines of the inputs without their ends; a line that is too long comes in parts."""
+    for log in inputs:
         mark = BOM
-        while line := one.file.readline(MAX_LINE):
+        while line := log.file.readline(MAX_LINE):
             if line := line.removeprefix(mark).strip(b"\r\n"):
                 yield line
             mark = b""
 
 
 def objects(inputs: Iterable[Input]) -> Iterator[tuple[bytes, dict[str, Any]] | Record]:
-    """Yield each line with the JSON object that it holds, or a record of a line that holds none."""
+    """Yield each line with its JSON object, or an unreadable record for a line without one."""
     for line in lines(inputs):
         if not line.strip():
             continue
@@ -326,19 +326,19 @@ def objects(inputs: Iterable[Input]) -> Iterator[tuple[bytes, dict[str, Any]] | 
 def known(
     found: Iterable[One], inputs: Sequence[Input], is_known: Callable[[One], bool], expected: str
 ) -> Iterator[One]:
-    """Yield all that was found; none of it is told before one is known to be of the format.
+    """Yield everything found, but nothing before one item is known to be of the format.
 
     Raises: UsageError if none of the first `LOOKED_AT` is, or none at all.
     """
     waiting, size = list[One](), 0
-    each = iter(found)
-    for one in each:
-        waiting.append(one)
-        raw = one.raw if isinstance(one, Record) else b""
+    items = iter(found)
+    for item in items:
+        waiting.append(item)
+        raw = item.raw if isinstance(item, Record) else b""
         size += len(raw)
-        if is_known(one):
+        if is_known(item):
             yield from waiting
-            yield from each
+            yield from items
             return
         if len(waiting) >= LOOKED_AT or size >= MAX_LINE:
             break

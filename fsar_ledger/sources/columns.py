@@ -1,7 +1,7 @@
-"""What a program in any language says by the names of event types and columns: what it records, and each event.
+"""The interface for programs in any language: what they record, and each event, by type and column names.
 
-Events come by their type's name and their stored columns, in lines of JSON. What cannot be printed in their texts is
-escaped.
+Events are lines of JSON with the name of their type and their stored columns. Unprintable characters in their texts
+are escaped.
 """
 
 import json
@@ -29,15 +29,15 @@ if TYPE_CHECKING:
     from .recorder import Recorder
 
 BY_ITSELF = ("SourceOpened", "SourceClosed", "RunContinued")
-"""What a recorder says of its own accord."""
+"""The event types that a recorder adds by itself."""
 LAYOUT_OF: dict[str, StoredType] = {
     name: layout
     for tag, layout in LAYOUTS.items()
     if tag not in OPENINGS and (name := tag.partition(".v")[0]) not in BY_ITSELF
 }
-"""How the events are stored that others can record, by name without version."""
+"""The layouts of the event types that others can record, by name without version."""
 MEASURES = frozenset({"budget_us", "t_max_us", "n_max", "fence"})
-"""Columns of lengths of time and of counts, which are never negative."""
+"""Columns of durations and counts, which are never negative."""
 PRINCIPALS = frozenset(
     {
         *("robot", "peer", "helper", "supervisor", "decided_by"),
@@ -46,24 +46,24 @@ PRINCIPALS = frozenset(
 )
 """Columns that name who acts, each by kind and name (`robot/A1`, `supervisor/A1`), or the coordinator."""
 IDENTITIES = PRINCIPALS | {"task_id", "action_id", "request_id"}
-"""Columns whose names have at least a letter."""
+"""Columns whose names are never empty."""
 OUTCOMES = {"ExecutionFinished": "result", "RequestClosed": "result", "SupervisorResponded": "approves"}
-"""Columns that record an outcome; an event without one would count as a success that nobody reported."""
+"""Columns that record an outcome; an event without one would count as an unreported success."""
 ALIGNED = (("names", "texts"), ("objects", "qualifiers"))
-"""Columns of an observation that go together."""
+"""Columns of an observation that have the same length."""
 _FLAW = re.compile(r"(?P<what>.*?)(?: - at `\$(?P<at>.*)`)?", re.DOTALL)
 
 
 def event_of(tag: object, columns: Mapping[str, Any]) -> Event:
-    """Return the event of this type (`ExecutionStarted`) with these columns; what may be NULL and is not there is NULL.
+    """Return the event of this type (`ExecutionStarted`) with these columns; missing nullable columns are NULL.
 
-    A decision without a path has that of its decider alone. Raises: UsageError, which names the field.
+    A decision without a path gets the path of its decider alone. Raises: UsageError, which names the field.
     """
     kind = tag.partition(".v")[0] if isinstance(tag, str) else ""
     layout = LAYOUT_OF.get(kind)
     if layout is None or tag not in (kind, layout.tag):
-        meant = did_you_mean(kind, [*LAYOUT_OF, *BY_ITSELF]) if layout is None else f", {kind} or {layout.tag}"
-        by_itself = " that is not said of its own accord" if kind in BY_ITSELF else meant
+        hint = did_you_mean(kind, [*LAYOUT_OF, *BY_ITSELF]) if layout is None else f", {kind} or {layout.tag}"
+        by_itself = " that is not said of its own accord" if kind in BY_ITSELF else hint
         raise UsageError(f"field type: found {shown(tag)}, expected an event type{by_itself}")
     known = {field.name: field for field in layout.fields}
     if unknown := sorted(columns.keys() - known.keys()):
@@ -77,9 +77,9 @@ def event_of(tag: object, columns: Mapping[str, Any]) -> Event:
             "knows more of is an observation (Observed)"
         )
     for name in sorted(PRINCIPALS & columns.keys()):
-        if isinstance(found := columns[name], str) and found not in ("", COORDINATOR) and "/" not in found:
-            meant = value(f"{'supervisor' if name.startswith('supervis') else 'robot'}/{found}")
-            raise UsageError(f"field {name}: found {value(found)} in {kind}, expected a kind and a name, as in {meant}")
+        if isinstance(text := columns[name], str) and text not in ("", COORDINATOR) and "/" not in text:
+            hint = value(f"{'supervisor' if name.startswith('supervis') else 'robot'}/{text}")
+            raise UsageError(f"field {name}: found {value(text)} in {kind}, expected a kind and a name, as in {hint}")
     event = laid_out(layout, columns)
     for first, second in ALIGNED if isinstance(event, Observed) else ():
         if len(getattr(event, first)) != len(getattr(event, second)):
@@ -89,37 +89,37 @@ def event_of(tag: object, columns: Mapping[str, Any]) -> Event:
 
 def laid_out(layout: StoredType, columns: Mapping[str, Any]) -> Event:
     """Return the event of this layout with these columns. Raises: UsageError for a value that is missing or wrong."""
-    given: dict[str, Any] = {"type": layout.tag}
+    document: dict[str, Any] = {"type": layout.tag}
     for member in layout.members:
         inside = {
             field.name: columns.get(field.name) for field in member.fields if field.name in columns or field.is_nullable
         }
         if member.part is None:
-            given |= inside
+            document |= inside
             continue
         if "path" in {field.name for field in member.fields} and "path" not in columns:
             inside["path"] = [columns["decided_by"]] if columns.get("decided_by") is not None else []
-        given[member.name] = inside
+        document[member.name] = inside
     try:
-        event: Event = msgspec.convert(given, layout.cls)
+        event: Event = msgspec.convert(document, layout.cls)
     except msgspec.ValidationError as error:
         raise UsageError(_flaw(layout, f"{error}")) from error
     for name in sorted(IDENTITIES & columns.keys()):
         if columns[name] == "":
             raise UsageError(f"field {name}: found an empty text in {type(event).__name__}, expected a name")
     for name in MEASURES & columns.keys():
-        if isinstance(found := columns[name], int) and found < 0:
-            raise UsageError(f"field {name}: found {found} in {type(event).__name__}, expected 0 or more")
+        if isinstance(number := columns[name], int) and number < 0:
+            raise UsageError(f"field {name}: found {number} in {type(event).__name__}, expected 0 or more")
     require_outcome(event)
     return event
 
 
 def require_full_names(event: Event, robots: Collection[str]) -> None:
-    """Raises: UsageError for `B1` where one of these robots is `robot/B1`: it would be told as somebody else."""
-    for name, found in flat(event).items():
-        if name in PRINCIPALS and isinstance(found, str) and "/" not in found and f"robot/{found}" in robots:
+    """Raises: UsageError for `B1` if one of these robots is `robot/B1`: it would be recorded as another robot."""
+    for name, text in flat(event).items():
+        if name in PRINCIPALS and isinstance(text, str) and "/" not in text and f"robot/{text}" in robots:
             raise UsageError(
-                f"field {name}: found {value(found)} in {type(event).__name__}, expected {value(f'robot/{found}')}, as "
+                f"field {name}: found {value(text)} in {type(event).__name__}, expected {value(f'robot/{text}')}, as "
                 "the fleet names it"
             )
 
@@ -138,40 +138,40 @@ def require_outcome(event: Event) -> None:
 
 
 def _flaw(layout: StoredType, message: str) -> str:
-    """Return what is wrong with the columns of an event, of which msgspec names the type and the path."""
-    kind, found = layout.tag.partition(".v")[0], _FLAW.fullmatch(message)
-    assert found is not None
-    lacks = re.search(r"missing required field `(\w+)`", found["what"])
-    path = re.findall(r"[a-z_]\w*", found["at"] or "")
-    name = lacks[1] if lacks else path[-1] if path else None
+    """Return the message for invalid columns of an event, from that of msgspec, which names the type and the path."""
+    kind, match = layout.tag.partition(".v")[0], _FLAW.fullmatch(message)
+    assert match is not None
+    missing = re.search(r"missing required field `(\w+)`", match["what"])
+    path = re.findall(r"[a-z_]\w*", match["at"] or "")
+    name = missing[1] if missing else path[-1] if path else None
     members = [member for member in layout.members if member.name == name and member.part is not None]
     if members:
         name = ", ".join(field.name for field in members[0].fields if not field.is_nullable)
-    words = f"found none, expected one in {kind}" if lacks else f"{found['what']:.200} in {kind}"
-    return f"field {name}: {words}" if name else f"{kind}: {words}"
+    text = f"found none, expected one in {kind}" if missing else f"{match['what']:.200} in {kind}"
+    return f"field {name}: {text}" if name else f"{kind}: {text}"
 
 
 def shown(found: object) -> str:
-    """Return a value of a message."""
+    """Format a value for a message."""
     return value(found if isinstance(found, str) else msgspec.json.encode(found).decode())
 
 
 BESIDE = ("type", "time", "caused_by")
-"""What a line may have beside the columns of its type."""
+"""The keys that a line may have beside the columns of its type."""
 
 
 SAID_AT_ONCE = 20
-"""Refused lines that are said one by one; then one each time that there are twice as many: no flood fills a disk."""
+"""Refused lines that are reported one by one; then one each time their number has doubled: no flood fills a disk."""
 
 
 class _Refused:
-    """What was wrong with which line, of which the operator is told at once, in a bounded number of lines."""
+    """The errors of refused lines by number, reported to the operator at once, in a bounded number of lines."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self.lines, self._say, self._next = dict[int, str](), say, 1
 
     def add(self, number: int, why: str) -> None:
-        """Note a line; say it if it is one of the first, or if there are twice as many as when one was said last."""
+        """Add a line; report it if it is one of the first, or if their number has doubled since the last report."""
         self.lines[number] = why
         count = len(self.lines)
         if count < self._next:
@@ -181,7 +181,7 @@ class _Refused:
         self._say(f"{so_far}line {number}: {why}")
 
     def say_count(self) -> None:
-        """Say how many lines were refused, if any were."""
+        """Report how many lines were refused, if any were."""
         were = "was refused, and nothing of it" if len(self.lines) == 1 else "were refused, and nothing of them"
         if self.lines:
             self._say(f"{counted(len(self.lines), 'line')} {were} is on record")
@@ -190,17 +190,17 @@ class _Refused:
 def tell(
     recorder: "Recorder", file: BinaryIO, say: Callable[[str], None] = lambda _: None
 ) -> tuple[int, dict[int, str]]:
-    """Record each line as it comes; return how many events there were, and what was wrong with which line.
+    """Record each line as it comes; return the number of events, and the error of each refused line by number.
 
-    A time without a zone is UTC. `say` tells the operator of a line that is refused, when it is, and after an
-    interruption how many were. Raises: WriteFailed, which says with which line to go on.
+    A time without a zone is UTC. `say` reports refused lines to the operator at once, and their number after an
+    interruption. Raises: WriteFailed, which names the line to continue with.
     """
     events, refused = 0, _Refused(say)
     try:
         for number, line in numbered_lines(file):
             try:
-                event, at, caused_by = told(line.removeprefix(BOM) if number == 1 else line)
-                _record(recorder, event, at, caused_by)
+                event, time, caused_by = told(line.removeprefix(BOM) if number == 1 else line)
+                _record(recorder, event, time, caused_by)
                 events += 1
             except (UsageError, InvalidRun) as error:
                 refused.add(number, f"{error}")
@@ -215,9 +215,9 @@ def tell(
     return events, refused.lines
 
 
-def _record(recorder: "Recorder", event: Event, at: datetime | None, caused_by: int | None) -> None:
+def _record(recorder: "Recorder", event: Event, time: datetime | None, caused_by: int | None) -> None:
     try:
-        recorder.event(event, at=at, caused_by=caused_by)
+        recorder.event(event, at=time, caused_by=caused_by)
     except UsageError as error:
         if not f"{error}".startswith("at: "):  # the name that the time has in Python
             raise
@@ -225,9 +225,9 @@ def _record(recorder: "Recorder", event: Event, at: datetime | None, caused_by: 
 
 
 def numbered_lines(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Yield each line with its number as it comes, but empty ones; of one that is too long its beginning.
+    """Yield each nonempty line with its number as it comes; of a line that is too long, its beginning.
 
-    That is too long as well, so that `object_of` refuses it.
+    The beginning is too long as well, so that `object_of` refuses it.
     """
     number = 0
     while line := file.readline(MAX_LINE + 1):
@@ -241,29 +241,29 @@ def numbered_lines(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
 def object_of(line: bytes, what: str) -> dict[str, Any]:
     """Return the JSON object in this line, which holds one event or command (`what`).
 
-    Raises: UsageError for none, and for one with a key twice, of which a reader of JSON would drop one in silence.
+    Raises: UsageError if there is none, or if a key occurs twice, of which JSON readers would silently drop one.
     """
     if len(line) > MAX_LINE:
         raise UsageError(f"found more than {MAX_LINE:,} bytes, expected one {what} a line")
     try:
-        found: dict[str, Any] = msgspec.json.decode(line, type=dict[str, Any])
+        document: dict[str, Any] = msgspec.json.decode(line, type=dict[str, Any])
         json.loads(line, object_pairs_hook=_require_once, parse_int=len, parse_float=len)
-        return found
+        return document
     except (msgspec.DecodeError, ValueError, RecursionError) as error:
         raise UsageError(f"{error!s:.200}; expected a JSON object") from error
 
 
 def _require_once(pairs: list[tuple[str, object]]) -> None:
-    """Require that each key of an object is there once. Raises: UsageError."""
+    """Require that each key of an object occurs once. Raises: UsageError."""
     if len(keys := [key for key, _ in pairs]) > len(set(keys)):
-        twice = next(key for at, key in enumerate(keys) if key in keys[:at])
+        twice = next(key for index, key in enumerate(keys) if key in keys[:index])
         raise UsageError(f"field {value(twice)}: found it more than once, expected it once")
 
 
 def told(line: bytes) -> tuple[Event, datetime | None, int | None]:
-    """Return the event of a line, when it happened and what caused it; None where the line does not say.
+    """Return the event of a line, its time and its cause; None where the line has none.
 
-    Raises: UsageError for what is no such line; it names the field.
+    Raises: UsageError for an invalid line; it names the field.
     """
     row = object_of(line, "event")
     event = event_of(row.get("type"), {name: row[name] for name in row.keys() - set(BESIDE)})
@@ -289,28 +289,28 @@ def _cause(number: object) -> int | None:
 
 
 def storable_text(text: str) -> str:
-    """Return the text as an event may hold it: escaped if it has characters that cannot be printed."""
+    """Return the text as an event may hold it: escaped if it has unprintable characters."""
     return text if text.isprintable() else escaped(text)
 
 
 def storable(event: Event) -> Event:
-    """Return the event with what cannot be printed in its texts escaped."""
-    texts = chain.from_iterable(one if isinstance(one, tuple) else (one,) for one in flat(event).values())
+    """Return the event with its unprintable texts escaped."""
+    texts = chain.from_iterable(item if isinstance(item, tuple) else (item,) for item in flat(event).values())
     if all(not isinstance(text, str) or text.isprintable() for text in texts):
         return event
     return msgspec.convert(_escaped(msgspec.to_builtins(event)), type(event))
 
 
-def _escaped(found: Any) -> Any:
-    if isinstance(found, str):
-        return storable_text(found)
-    if isinstance(found, dict):
-        return {name: _escaped(one) for name, one in found.items()}
-    return [_escaped(one) for one in found] if isinstance(found, (list, tuple)) else found
+def _escaped(node: Any) -> Any:
+    if isinstance(node, str):
+        return storable_text(node)
+    if isinstance(node, dict):
+        return {name: _escaped(child) for name, child in node.items()}
+    return [_escaped(child) for child in node] if isinstance(node, (list, tuple)) else node
 
 
 def text_of(raw: bytes) -> str:
-    """Return what the bytes say as an event may hold it; in hexadecimal if they are no text."""
+    """Return the bytes as text that an event may hold; in hexadecimal if they are not text."""
     try:
         return storable_text(raw.decode())
     except UnicodeDecodeError:
@@ -329,7 +329,7 @@ class Declared(msgspec.Struct, frozen=True):
 
     @property
     def kinds(self) -> frozenset[str]:
-        """The event types, by name without version, that the run may have beside those that say what it is."""
+        """The event types, by name without version, that the run may have beside those that describe it."""
         whole = {kind for kind, concern in CONCERN_OF.items() if concern in self.observes}
         return frozenset(whole | {name for name in self.records if "." not in name})
 
@@ -342,16 +342,20 @@ def declared(names: Iterable[str]) -> Declared:
 
     Raises: UsageError for a name that is none of these.
     """
-    asked = {
-        one
+    requested = {
+        expanded
         for name in names
-        for one in ([each for each in RECORDS if each.startswith(name[:-1])] if name.endswith(".*") else [name])
+        for expanded in (
+            [record for record in RECORDS if record.startswith(name[:-1])] if name.endswith(".*") else [name]
+        )
     }
-    asked |= {name.partition(".")[0] for name in asked if "." in name}
+    requested |= {name.partition(".")[0] for name in requested if "." in name}
     known: Collection[str] = (*CONCERNS, *RECORDS)
-    for name in sorted(asked - set(known)):
+    for name in sorted(requested - set(known)):
         raise UsageError(
             f"observes: found {value(name)}, expected concerns ({', '.join(CONCERNS)}), event types, or fields of them "
             f"that may be NULL, as in ExecutionStarted.requested_by{did_you_mean(name, known)}"
         )
-    return Declared(tuple(name for name in CONCERNS if name in asked), tuple(name for name in RECORDS if name in asked))
+    return Declared(
+        tuple(name for name in CONCERNS if name in requested), tuple(name for name in RECORDS if name in requested)
+    )

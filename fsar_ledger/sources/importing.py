@@ -1,8 +1,8 @@
-"""Files of a source go into a run of a ledger: each record once, however often the import was interrupted.
+"""Imports files of a source into a run of a ledger: each record once, however often the import was interrupted.
 
-Records and what is derived from them are committed together, in the order of the input. What the ledger holds of a run
-says how far it came: an import that is called again reads the input from its beginning, to know again what it knew, and
-goes on after the last record on file.
+Records and what is derived from them are committed together, in the order of the input. The run in the ledger shows how
+far the import came: when called again, it reads the input from the beginning, to rebuild its state, and continues after
+the last record on file.
 """
 
 import io
@@ -34,13 +34,13 @@ from .stored import BYTES, EarlierImport, NewEvent, commit, earlier_import, reco
 
 ORIGIN = "fsar-ledger/imported"
 COMMIT_EVENTS, COMMIT_BYTES = 4_096, 1 << 21
-"""A commit is made when it has so many events, or so many bytes of text."""
+"""The numbers of events and of bytes of text at which a commit is made."""
 FARTHEST_US = MAX_INTEGER // 2
 """Units: microseconds, before and after 1970; 142 years."""
 
 
 class Misunderstood(msgspec.Struct, frozen=True):
-    """A kind of record of which the adapter makes nothing: how many there are, and the number of the first."""
+    """A kind of record that the adapter does not understand: how many there are, and the number of the first."""
 
     kind: str
     count: int
@@ -48,10 +48,10 @@ class Misunderstood(msgspec.Struct, frozen=True):
 
 
 class Imported(msgspec.Struct, frozen=True):
-    """What became of the input: how many records it has, how many were there before, and what was made of the others.
+    """The result of an import: how many records the input has, how many were on file before, and what was derived.
 
     `events` counts the derived events by type, `robots` are those that the records name. Of the records with events,
-    `undated` tell no time, and `late` tell one before that of an earlier record, by `late_us` microseconds at most.
+    `undated` have no time, and `late` have one before that of an earlier record, by `late_us` microseconds at most.
     """
 
     run: str
@@ -67,7 +67,7 @@ class Imported(msgspec.Struct, frozen=True):
     late_us: int
 
     def about_times(self) -> Iterator[str]:
-        """Yield how many records with events stand at another time than their own, a line for each reason."""
+        """Yield how many records with events are recorded at another time than their own, a line for each reason."""
         if self.undated:
             yield f"tell no time: {counted(self.undated, 'record')} with events, dated as the one before"
         if self.late:
@@ -91,21 +91,21 @@ def import_files(
     signer: Signer | None = None,
     progress: Progress | None = None,
 ) -> Imported:
-    """Import these inputs into a run of the ledger at this path, which is made if there is none.
+    """Import these inputs into a run of the ledger at this path, which is created if missing.
 
-    With a `fleet` (role by name of a robot) its robots join, and a robot that acts without being of it offends I1;
-    without one nothing is said of who belongs to the fleet. With `keeps_bodies` each record is kept whole, in
-    hexadecimal if it is no text.
+    With a `fleet` (roles by robot name) its robots join, and a robot outside it that acts violates I1; without one,
+    membership of the fleet is not recorded. With `keeps_bodies` each record is kept whole, in hexadecimal if it is
+    not text.
 
     Raises:
-        UsageError: The input is on file already, or another one is under this name; or as `Adapter.read`.
-        NotALedger, LedgerCorrupted, WriteFailed: As `Writer`; what is committed stays, and the import goes on there.
+        UsageError: The input is on file already, or another input has this name; or as `Adapter.read`.
+        NotALedger, LedgerCorrupted, WriteFailed: As `Writer`; what is committed stays, and a new call continues there.
     """
     names = [*adapter.declares()]
     if fleet is not None:  # which does not say who supervises its robots
         names = [*(name for name in names if name != "RobotJoined.supervisor"), "RobotJoined"]
     with Writer(path, origin_of(path, origin, signer, ORIGIN), signer) as writer:
-        one = _Import(writer, path, adapter, run, declared(names), keeps_bodies)
+        importer = _Import(writer, path, adapter, run, declared(names), keeps_bodies)
         opened = SourceOpened(
             source=adapter.name,
             format=adapter.format,
@@ -115,13 +115,13 @@ def import_files(
             input_sha256=digest_of(inputs),
             mapping_sha256=mapping_sha256,
         )
-        one.resume(opened, fleet or {})
-        one.read(inputs, progress)
-        return one.result()
+        importer.resume(opened, fleet or {})
+        importer.read(inputs, progress)
+        return importer.result()
 
 
 class _Import:
-    """An import on its way: what is to be committed next, and what the adapter has said so far."""
+    """An import in progress: the events to commit next, and the results so far."""
 
     def __init__(
         self, writer: Writer, path: Path, adapter: Adapter, run: str, says: Declared, keeps_bodies: bool
@@ -145,53 +145,53 @@ class _Import:
         self.is_new = False
 
     def resume(self, opened: SourceOpened, fleet: Mapping[str, str]) -> None:
-        """Look at what the ledger holds of the run. Raises: UsageError if this import cannot go on with it."""
+        """Read the run in the ledger, if there is one. Raises: UsageError if this import cannot continue it."""
         self.opened = opened
         self.robots_of_fleet = dict(roles_of(fleet))
         self.joined_by_fleet = set(self.robots_of_fleet)
-        self.earlier = before = earlier_import(self.path, self.run)
-        if before is None:
+        self.earlier = earlier = earlier_import(self.path, self.run)
+        if earlier is None:
             return
-        if before.opened is None or before.opened.adapter.startswith(FORMAT):
+        if earlier.opened is None or earlier.opened.adapter.startswith(FORMAT):
             raise self._refused(
                 "a run into which events were recorded as they happened",
                 "one that holds imports alone; what is on file stays: give the import another name (--run)",
             )
-        if before.opened.adapter.partition("/")[0] != self.adapter.name:
+        if earlier.opened.adapter.partition("/")[0] != self.adapter.name:
             raise self._refused(
-                f"a run of {value(before.opened.adapter)}",
+                f"a run of {value(earlier.opened.adapter)}",
                 f"one that was imported as {self.adapter.name}; give the import another name (--run)",
             )
         digest = opened.input_sha256
-        if before.is_closed and digest is not None and before.opened.input_sha256 == digest:
+        if earlier.is_closed and digest is not None and earlier.opened.input_sha256 == digest:
             raise self._refused(
-                f"the same input (SHA-256 {digest[:16]}...), with {before.records:,} records",
+                f"the same input (SHA-256 {digest[:16]}...), with {earlier.records:,} records",
                 "one that is not on file; it is all there",
             )
-        if before.opened.mapping_sha256 != opened.mapping_sha256:
+        if earlier.opened.mapping_sha256 != opened.mapping_sha256:
             raise self._refused(
-                f"a run that was imported with another mapping (SHA-256 {before.opened.mapping_sha256})",
+                f"a run that was imported with another mapping (SHA-256 {earlier.opened.mapping_sha256})",
                 f"the same one ({opened.mapping_sha256}); give the import another name (--run)",
             )
-        if self.robots_of_fleet and before.robots != self.robots_of_fleet:
+        if self.robots_of_fleet and earlier.robots != self.robots_of_fleet:
             raise self._refused(
-                f"a run with {len(before.robots):,} robots in its fleet, of other names or roles",
+                f"a run with {len(earlier.robots):,} robots in its fleet, of other names or roles",
                 "the fleet with which it began (--fleet); give the import another name (--run)",
             )
-        self.declared, self.robots_of_fleet = before.declared, before.robots
-        self.epoch_us, self.seq = before.epoch_us, before.first
+        self.declared, self.robots_of_fleet = earlier.declared, earlier.robots
+        self.epoch_us, self.seq = earlier.epoch_us, earlier.first
 
     def read(self, inputs: Sequence[Input], progress: Progress | None) -> None:
         """Read every record, commit those that are not on file, and close the source."""
-        before = self.earlier.records if self.earlier is not None else 0
-        known = record_hashes(self.path, self.run) if before else iter(())
-        for record in self.adapter.read([self._committing(one) for one in inputs]):
+        on_file = self.earlier.records if self.earlier is not None else 0
+        hashes = record_hashes(self.path, self.run) if on_file else iter(())
+        for record in self.adapter.read([self._committing(log) for log in inputs]):
             self.count += 1
-            if self.count == before and self._is_whole_now(record):
-                before -= 1
-            if self.count <= before:
-                self._require_same(record, next(known, "none"))
-            if self.count == before + 1:
+            if self.count == on_file and self._is_whole_now(record):
+                on_file -= 1
+            if self.count <= on_file:
+                self._require_same(record, next(hashes, "none"))
+            if self.count == on_file + 1:
                 self._begin()
             if self.epoch_us is None:
                 self._set_epoch(self._when_us(record))
@@ -206,20 +206,20 @@ class _Import:
                     progress(self.count, 0)
         if not self.count:
             raise no_record(inputs)
-        if self.count < before:
+        if self.count < on_file:
             raise self._refused(
                 f"{self.count:,} records in the input",
-                f"the {before:,} on file and more; it is not the input that was imported, or it was cut short",
+                f"the {on_file:,} on file and more; it is not the input that was imported, or it was cut short",
             )
-        if self.count == before:
+        if self.count == on_file:
             self._begin()
         closed = SourceClosed(source=self.adapter.name, until_us=self.last_us, record_count=self.count)
         self._put(self.last_us, None, closed)
         self._commit()
 
-    def _committing(self, one: Input) -> Input:
-        """Return the input so that what was read of a stream is on disk before more of it is awaited."""
-        return one if one.path is not None else one._replace(file=io.BufferedReader(_Stream(one.file, self._commit)))
+    def _committing(self, log: Input) -> Input:
+        """Return the input, of which a stream commits what was read before it waits for more."""
+        return log if log.path is not None else log._replace(file=io.BufferedReader(_Stream(log.file, self._commit)))
 
     def _is_whole_now(self, record: Record) -> bool:
         assert self.earlier is not None
@@ -229,8 +229,8 @@ class _Import:
         return True
 
     def result(self) -> Imported:
-        """Return what became of the input."""
-        missed = sorted(self.missed.items(), key=lambda one: (-one[1][0], one[0]))
+        """Return the result of the import."""
+        missed = sorted(self.missed.items(), key=lambda item: (-item[1][0], item[0]))
         return Imported(
             self.run,
             self.adapter.format,
@@ -246,14 +246,14 @@ class _Import:
         )
 
     def _begin(self) -> None:
-        """Begin the run, or go on with it behind what is on file."""
+        """Begin the run, or continue it after what is on file."""
         assert self.opened is not None
         self.is_new = True
         opened = msgspec.structs.replace(self.opened, format=self.adapter.format)
         if self.earlier is not None:
             self._pass_beside()
             if self.seq != self.earlier.size:
-                self.keys.clear()  # this adapter makes other events of the records on file, so their numbers are others
+                self.keys.clear()  # this adapter derives other events from the records on file, so their numbers differ
             self.seq, self.last_us = self.earlier.size, max(self.last_us, self.earlier.last_us)
             self._put(self.last_us, None, opened)
             return
@@ -270,40 +270,40 @@ class _Import:
         self._put(0, 0, opened)
 
     def _set_epoch(self, when_us: int | None) -> None:
-        """Take the first time of the input as run time 0, and say so if the beginning is not committed yet."""
+        """Take the first time of the input as run time 0, and record it if the beginning is not committed yet."""
         self.epoch_us = when_us
         if when_us is not None and self.rows and isinstance(started := self.rows[0][2], RunStarted):
             self.rows[0] = (0, None, msgspec.structs.replace(started, epoch=utc.shown_us(when_us)))
 
     def _add(self, record: Record, derived: Iterable[Derived]) -> None:
-        """Add a record, and what follows from it."""
+        """Add a record and the events that follow from it."""
         when_us, late_us = self._when_us(record), 0
         if when_us is not None and self.epoch_us is not None:
             late_us = self.last_us - (when_us - self.epoch_us)
             self.last_us -= min(late_us, 0)
         is_made = False
-        at = self._put(self.last_us, None, self._observed(record) if self.is_new else None)
-        for one in derived:
-            kind = type(one.event).__name__
+        record_seq = self._put(self.last_us, None, self._observed(record) if self.is_new else None)
+        for item in derived:
+            kind = type(item.event).__name__
             if kind in CONCERN_OF and kind not in self.declared.kinds:
-                if kind in self.kinds:  # the run was begun by an adapter that did not tell of it
+                if kind in self.kinds:  # the run was begun by an adapter that did not declare it
                     continue
                 raise UsageError(
                     f"record {self.count}: found {kind}, expected an event that {self.adapter.name} declares; mend the "
                     "adapter"
                 )
-            if isinstance(one.event, RobotJoined) and one.event.robot in self.joined_by_fleet:
-                self.joined_by_fleet.remove(one.event.robot)  # the fleet's file has said so
+            if isinstance(item.event, RobotJoined) and item.event.robot in self.joined_by_fleet:
+                self.joined_by_fleet.remove(item.event.robot)  # the fleet's file names it
                 continue
             try:
-                require_full_names(one.event, self.robots_of_fleet)
+                require_full_names(item.event, self.robots_of_fleet)
             except UsageError as error:
                 raise UsageError(f"record {self.count}: {error}; mend the mapping, or the fleet") from error
-            cause = at if one.cause is None else self.keys.get(one.cause, at)
-            event = storable(one.event)
+            cause = record_seq if item.cause is None else self.keys.get(item.cause, record_seq)
+            event = storable(item.event)
             seq = self._put(self.last_us, cause, event)
-            if one.key is not None:
-                self.keys[one.key] = seq
+            if item.key is not None:
+                self.keys[item.key] = seq
             self.made[kind] += 1
             is_made = True
             if (robot := getattr(event, "robot", None)) is not None:
@@ -314,25 +314,25 @@ class _Import:
             self.late_us = max(self.late_us, late_us)
 
     def _observed(self, record: Record) -> Observed:
-        told_us = _told(record.source_us)
-        source_us = None if told_us is None or self.epoch_us is None else told_us - self.epoch_us
+        record_us = _told(record.source_us)
+        source_us = None if record_us is None or self.epoch_us is None else record_us - self.epoch_us
         values, objects = record.values, record.objects
         if record.kind == UNREADABLE:
             values = {**values, BYTES: f"{len(record.raw)}"}
-        said = tuple(values), tuple(values.values()), tuple(objects), tuple(objects.values())
-        texts = "".join(chain(*said))
+        columns = tuple(values), tuple(values.values()), tuple(objects), tuple(objects.values())
+        texts = "".join(chain(*columns))
         if not texts.isprintable():
-            names, told, about, parts = (tuple(map(storable_text, some)) for some in said)
+            names, contents, subjects, parts = (tuple(map(storable_text, column)) for column in columns)
         else:
-            names, told, about, parts = said
+            names, contents, subjects, parts = columns
         body = text_of(record.raw) if self.keeps_bodies else None
         self.bytes += len(texts) + len(body or "")
         return Observed(
             source=self.adapter.name,
             kind=storable_text(record.kind),
             names=names,
-            texts=told,
-            objects=about,
+            texts=contents,
+            objects=subjects,
             qualifiers=parts,
             source_time_us=source_us,
             record_number=self.count,
@@ -379,7 +379,7 @@ class _Import:
 
 
 class _Stream(io.RawIOBase):
-    """A stream that calls `before_wait` whenever more of it is asked for, which may take any time."""
+    """A stream that calls `before_wait` before each read, which may block."""
 
     def __init__(self, file: BinaryIO, before_wait: Callable[[], None]) -> None:
         self._file, self._before_wait = file, before_wait
@@ -390,11 +390,11 @@ class _Stream(io.RawIOBase):
     def readinto(self, buffer: Any) -> int:
         self._before_wait()
         read = getattr(self._file, "read1", self._file.read)
-        found: bytes = read(len(buffer))
-        buffer[: len(found)] = found
-        return len(found)
+        data: bytes = read(len(buffer))
+        buffer[: len(data)] = data
+        return len(data)
 
 
 def _told(time_us: int | None) -> int | None:
-    """Return the time; None for one so far from 1970 that a run could not hold its distance from another."""
+    """Return the time; None if it is so far from 1970 that a run could not hold its distance from another."""
     return time_us if time_us is not None and abs(time_us) <= FARTHEST_US else None

@@ -1,4 +1,4 @@
-"""An adapter from a file: which record of a format of one's own means which event, and where its fields are.
+"""An adapter from a file: which record of a custom format means which event, and where its fields are.
 
 ```toml
 format = "acme/2"
@@ -16,7 +16,7 @@ fields = { task_id = "/job", action_id = "{/job}/1", robot = "robot/{/robot}", c
 ```
 
 A text that begins with a slash is a JSON pointer (RFC 6901) to the value; in any other each `{/pointer}` is replaced.
-A record that lacks a value, or has it of another kind than the field, is not understood: nothing is derived from it.
+A record that lacks a value, or has one of another kind than the field, is not understood: nothing is derived from it.
 """
 
 import re
@@ -41,7 +41,7 @@ _INDEX = re.compile(r"0|[1-9][0-9]{0,8}")
 _MISSING = object()
 US_OF = {"s": 1e6, "ms": 1e3, "us": 1.0, "ns": 1e-3}
 LAST_US = 253_402_214_400_000_000
-"""Units: microseconds since 1970; the last day of the year 9999. A time beyond it is none."""
+"""Units: microseconds since 1970; the last day of the year 9999. A time beyond it is ignored."""
 Plain = str | int | bool
 
 
@@ -56,7 +56,7 @@ class MappedEvent(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A format of one's own: lines of JSON objects. `unit` is that of times which are numbers."""
+    """A custom format: lines of JSON objects. `unit` is the unit of times that are numbers."""
 
     format: str
     observes: list[str] = []
@@ -71,7 +71,7 @@ class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Mapped:
-    """Reads what a mapping describes."""
+    """A reader of the format that a mapping describes."""
 
     version = "1"
 
@@ -81,47 +81,47 @@ class Mapped:
         self.clock, self.is_sampled = mapping.clock, mapping.is_sampled
 
     def declares(self) -> Iterable[str]:
-        """Name what the mapping says that its source records."""
+        """Name what the source records according to the mapping."""
         return self._mapping.observes
 
     def read(self, inputs: Iterable[Input]) -> Iterator[Record]:
         """Yield every line. Raises: UsageError if none of the first holds a JSON object."""
         files = list(inputs)
-        found = (one if isinstance(one, Record) else self._record(*one) for one in objects(files))
-        return known(found, files, lambda one: one.data is not None, "one JSON object a line")
+        records = (item if isinstance(item, Record) else self._record(*item) for item in objects(files))
+        return known(records, files, lambda item: item.data is not None, "one JSON object a line")
 
     def _record(self, raw: bytes, data: dict[str, Any]) -> Record:
         mapping = self._mapping
         kind = _filled(mapping.kind, data)
         about: dict[str, str] = {}
         for pointer, part in mapping.objects.items():
-            if (found := _at(pointer, data)) is not _MISSING and found is not None:
-                name = shown(found)
+            if (item := _at(pointer, data)) is not _MISSING and item is not None:
+                name = shown(item)
                 about[name] = f"{about[name]}, {part}" if name in about else part
-        values = {name: shown(one) for name, one in data.items()}
-        told_us, arrival_us = (
+        values = {name: shown(item) for name, item in data.items()}
+        source_us, arrival_us = (
             None if pointer is None else _time_us(_at(pointer, data), mapping.unit)
             for pointer in (mapping.time, mapping.arrival)
         )
-        is_told = kind is not _MISSING and kind not in ("", None)
-        return Record(shown(kind) if is_told else "record", raw, data, values, about, told_us, arrival_us)
+        has_kind = kind is not _MISSING and kind not in ("", None)
+        return Record(shown(kind) if has_kind else "record", raw, data, values, about, source_us, arrival_us)
 
     def derive(self, record: Record) -> Iterable[Derived] | None:
-        """Return the event of each rule that the record matches; None where it matches none, or lacks what one needs.
+        """Return the event of each rule that the record matches; None if it matches none, or lacks what one needs.
 
-        What a record says is derived whole or not at all, so that a part of it cannot be missing unseen.
+        A record is derived whole or not at all, so that no part of it can be missing unnoticed.
         """
         if record.data is None:
             return None
-        made = [_derived(rule, record.data) for rule in self._mapping.event if _matches(rule, record.data)]
-        events = [one for one in made if one is not None]
-        return events if events and len(events) == len(made) else None
+        results = [_derived(rule, record.data) for rule in self._mapping.event if _matches(rule, record.data)]
+        events = [event for event in results if event is not None]
+        return events if events and len(events) == len(results) else None
 
 
 def mapped(path: Path, data: bytes) -> Mapped:
     """Return the adapter that a mapping file describes.
 
-    Raises: UsageError for a file that is none; it names the line and the field.
+    Raises: UsageError for an invalid file; it names the line and the field.
     """
     try:
         text = data.decode()
@@ -135,46 +135,46 @@ def mapped(path: Path, data: bytes) -> Mapped:
 
 
 def _flaws(mapping: Mapping) -> Iterator[tuple[Field, str, str]]:
-    """Yield what is wrong with a mapping: the field, what was found there, and what was expected."""
+    """Yield the flaws of a mapping: the field, what was found there, and what was expected."""
     if not mapping.format.partition("/")[0]:
         yield ("format",), mapping.format, "a name and a version, such as acme/2"
     kinds: frozenset[str] = frozenset()
-    for at, name in enumerate(mapping.observes):
+    for index, name in enumerate(mapping.observes):
         try:
             kinds |= declared([name]).kinds
         except UsageError as error:
-            yield ("observes", at), name, f"{error}".partition("expected ")[2]
+            yield ("observes", index), name, f"{error}".partition("expected ")[2]
     pointers = (("time",), mapping.time), (("arrival",), mapping.arrival)
-    for field, pointer in (*pointers, *((("objects", one), one) for one in mapping.objects)):
+    for field, pointer in (*pointers, *((("objects", pointer), pointer) for pointer in mapping.objects)):
         if pointer is not None and not _is_pointer(pointer):
             yield field, pointer, A_POINTER
     yield from _flaws_of_text(("kind",), mapping.kind)
-    for at, rule in enumerate(mapping.event):
-        yield from _flaws_of_rule(("event", at), rule, kinds)
+    for index, rule in enumerate(mapping.event):
+        yield from _flaws_of_rule(("event", index), rule, kinds)
 
 
-def _flaws_of_rule(where: Field, rule: MappedEvent, kinds: frozenset[str]) -> Iterator[tuple[Field, str, str]]:
-    """Yield what is wrong with a rule of a mapping that declares these event types."""
+def _flaws_of_rule(prefix: Field, rule: MappedEvent, kinds: frozenset[str]) -> Iterator[tuple[Field, str, str]]:
+    """Yield the flaws of a rule of a mapping that declares these event types."""
     if rule.type not in CONCERN_OF or rule.type not in LAYOUT_OF:
         known = CONCERN_OF.keys() & LAYOUT_OF.keys()
-        yield (*where, "type"), rule.type, f"an event type{did_you_mean(rule.type, known)}"
+        yield (*prefix, "type"), rule.type, f"an event type{did_you_mean(rule.type, known)}"
         return
     if rule.type not in kinds:
-        yield (*where, "type"), rule.type, f"a type that `observes` names ({', '.join(sorted(kinds)) or 'none'})"
+        yield (*prefix, "type"), rule.type, f"a type that `observes` names ({', '.join(sorted(kinds)) or 'none'})"
     if (outcome := OUTCOMES.get(rule.type, "")) not in {"", *rule.fields}:
-        yield (*where, "type"), rule.type, f"its {outcome} among `fields`, since how it ended is never assumed"
+        yield (*prefix, "type"), rule.type, f"its {outcome} among `fields`, since how it ended is never assumed"
     columns = {field.name: field for field in LAYOUT_OF[rule.type].fields}
     for name, text in rule.fields.items():
         if name not in columns:
             expected = f"a field of {rule.type} ({', '.join(sorted(columns))}){did_you_mean(name, columns)}"
-            yield (*where, "fields", name), name, expected
-        for one in text if isinstance(text, list) else [text]:
-            yield from _flaws_of_text((*where, "fields", name), one)
+            yield (*prefix, "fields", name), name, expected
+        for part in text if isinstance(text, list) else [text]:
+            yield from _flaws_of_text((*prefix, "fields", name), part)
     for pointer in rule.match:
         if not _is_pointer(pointer):
-            yield (*where, "match", pointer), pointer, A_POINTER
-    for name, told in (("key", rule.key), ("cause", rule.cause)):
-        yield from _flaws_of_text((*where, name), told)
+            yield (*prefix, "match", pointer), pointer, A_POINTER
+    for name, reference in (("key", rule.key), ("cause", rule.cause)):
+        yield from _flaws_of_text((*prefix, name), reference)
 
 
 def _flaws_of_text(field: Field, text: Plain | None) -> Iterator[tuple[Field, str, str]]:
@@ -184,7 +184,7 @@ def _flaws_of_text(field: Field, text: Plain | None) -> Iterator[tuple[Field, st
         if not _is_pointer(text):
             yield field, text, A_POINTER
         return
-    wrong = [one for one in _IN_TEXT.findall(text) if not _is_pointer(one)]
+    wrong = [pointer for pointer in _IN_TEXT.findall(text) if not _is_pointer(pointer)]
     if wrong or set("{}") & set(_IN_TEXT.sub("", text)):
         yield field, text, "a text in which braces hold a JSON pointer (RFC 6901), such as robot/{/robot/id}"
 
@@ -197,7 +197,7 @@ def _is_pointer(text: str) -> bool:
 
 
 def _at(pointer: str, data: Any) -> Any:
-    """Return the value at a JSON pointer, `_MISSING` where there is none."""
+    """Return the value at a JSON pointer, `_MISSING` if there is none."""
     for name in _names(pointer):
         if isinstance(data, dict) and name in data:
             data = data[name]
@@ -210,25 +210,27 @@ def _at(pointer: str, data: Any) -> Any:
 
 @cache
 def _names(pointer: str) -> tuple[str, ...]:
-    """Return the names of a JSON pointer. A mapping has few; what a record says is never one."""
+    """Return the names of a JSON pointer. A mapping has few; records contain none."""
     return tuple(part.replace("~1", "/").replace("~0", "~") for part in pointer.split("/")[1:])
 
 
 def _filled(text: Plain | list[str], data: Any) -> Any:
-    """Return what a field of a mapping means for a record; `_MISSING` where the record lacks a part of it."""
+    """Return the value of a mapping's field for a record; `_MISSING` if the record lacks a part of it."""
     if isinstance(text, list):
-        found = [_filled(one, data) for one in text]
-        return _MISSING if any(one is _MISSING or one is None for one in found) else [shown(one) for one in found]
+        filled = [_filled(part, data) for part in text]
+        return (
+            _MISSING if any(part is _MISSING or part is None for part in filled) else [shown(part) for part in filled]
+        )
     if not isinstance(text, str):
         return text
     if text.startswith("/"):
         return _at(text, data)
     pieces = list(_pieces(text))
-    for at in range(1, len(pieces), 2):
-        found = _at(pieces[at], data)
-        if found is _MISSING or found is None:
+    for index in range(1, len(pieces), 2):
+        filled = _at(pieces[index], data)
+        if filled is _MISSING or filled is None:
             return _MISSING
-        pieces[at] = shown(found)
+        pieces[index] = shown(filled)
     return "".join(pieces)
 
 
@@ -239,36 +241,36 @@ def _pieces(text: str) -> tuple[str, ...]:
 
 
 def _matches(rule: MappedEvent, data: Any) -> bool:
-    for pointer, wanted in rule.match.items():
-        found = _at(pointer, data)
-        if not any(_is_same(found, one) for one in (wanted if isinstance(wanted, list) else [wanted])):
+    for pointer, expected in rule.match.items():
+        actual = _at(pointer, data)
+        if not any(_is_same(actual, option) for option in (expected if isinstance(expected, list) else [expected])):
             return False
     return True
 
 
-def _is_same(found: object, wanted: Plain) -> bool:
+def _is_same(actual: object, expected: Plain) -> bool:
     """Return whether two values of JSON are equal; to Python, `true` is 1."""
-    return found == wanted and isinstance(found, bool) == isinstance(wanted, bool)
+    return actual == expected and isinstance(actual, bool) == isinstance(expected, bool)
 
 
 def _derived(rule: MappedEvent, data: Any) -> Derived | None:
-    """Return the event of a rule; None where the record lacks a field that it must have, or has it of another kind."""
+    """Return the event of a rule; None if the record lacks a required field, or has one of another kind."""
     filled = {name: _filled(text, data) for name, text in rule.fields.items()}
-    given = {name: one for name, one in filled.items() if one is not _MISSING}
-    if OUTCOMES.get(rule.type) in filled.keys() - given.keys():
+    present = {name: item for name, item in filled.items() if item is not _MISSING}
+    if OUTCOMES.get(rule.type) in filled.keys() - present.keys():
         return None
     try:
-        event = laid_out(LAYOUT_OF[rule.type], given)
+        event = laid_out(LAYOUT_OF[rule.type], present)
     except UsageError:
         return None
     key, cause = (None if text is None else _filled(text, data) for text in (rule.key, rule.cause))
-    return Derived(event, *(None if one is None or one is _MISSING else shown(one) for one in (key, cause)))
+    return Derived(event, *(None if item is None or item is _MISSING else shown(item) for item in (key, cause)))
 
 
-def _time_us(found: object, unit: str) -> int | None:
-    if not isinstance(found, int | float) or isinstance(found, bool):
-        return utc_us(found)
-    if not 0 <= found < LAST_US * 1000:  # no float holds an integer of any size
+def _time_us(time: object, unit: str) -> int | None:
+    if not isinstance(time, int | float) or isinstance(time, bool):
+        return utc_us(time)
+    if not 0 <= time < LAST_US * 1000:  # no float holds an integer of any size
         return None
-    us = found // 1000 if unit == "ns" and isinstance(found, int) else found * US_OF[unit]
+    us = time // 1000 if unit == "ns" and isinstance(time, int) else time * US_OF[unit]
     return round(us) if us < LAST_US else None

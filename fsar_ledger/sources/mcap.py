@@ -47,7 +47,7 @@ LOG_LEVELS = ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
 
 
 class Framed(NamedTuple):
-    """A record of the file: its bytes may be fewer than it says."""
+    """A record of the file, whose content may be shorter than it declares."""
 
     opcode: int
     content: bytes
@@ -55,7 +55,7 @@ class Framed(NamedTuple):
 
 
 class Mcap:
-    """Reads MCAP files."""
+    """A reader of MCAP files."""
 
     name = "mcap"
     version = "1"
@@ -70,11 +70,11 @@ class Mcap:
         self._has_statuses = True
 
     def look(self, inputs: Sequence[Input]) -> None:
-        """Look for a status of a robot's action that can be read; without one, nothing is said of what robots do.
+        """Look for a readable status of a robot's action; without one, nothing is declared of what robots do.
 
-        Of what cannot be read twice nobody knows. Raises: UsageError for files without a record, or as `read`.
+        A stream cannot be read twice: it may have one. Raises: UsageError for files without a record, or as `read`.
         """
-        if any(one.path is None for one in inputs):
+        if any(log.path is None for log in inputs):
             return
         is_empty, self._has_statuses = True, False
         for record in Mcap().read(inputs):
@@ -84,11 +84,11 @@ class Mcap:
                 break
         if is_empty:
             raise no_record(inputs)
-        for one in inputs:
-            one.file.seek(0)
+        for log in inputs:
+            log.file.seek(0)
 
     def declares(self) -> Iterable[str]:
-        """Name what the status topics of all actions say; who asked, and what was refused, they do not."""
+        """Name what the status topics of all actions record, which are neither requesters nor refusals."""
         if not self._has_statuses:
             return ()
         return (
@@ -99,16 +99,16 @@ class Mcap:
         )
 
     def read(self, inputs: Iterable[Input]) -> Iterator[Record]:
-        """Yield every message, in the order of the file. Raises: UsageError for a file that is no MCAP."""
-        for one in inputs:
-            if (found := one.file.read(len(MAGIC))) != MAGIC:
+        """Yield every message, in the order of the file. Raises: UsageError for a file that is not MCAP."""
+        for log in inputs:
+            if (magic := log.file.read(len(MAGIC))) != MAGIC:
                 raise UsageError(
-                    f"{value(one.name)}: found {found!r} at its beginning, expected a file of MCAP ({MAGIC!r}); give "
+                    f"{value(log.name)}: found {magic!r} at its beginning, expected a file of MCAP ({MAGIC!r}); give "
                     "the format that it has (--as, --with)"
                 )
             self._channels, self._schemas = {}, {}
             is_ended = is_cut = False
-            for framed in _framed(one.file):
+            for framed in _framed(log.file):
                 is_ended, is_cut = framed.opcode == Opcode.FOOTER, not framed.is_whole
                 if framed.opcode == Opcode.CHUNK:
                     yield from self._chunk(framed)
@@ -117,10 +117,10 @@ class Mcap:
                 if is_ended:
                     break
             if not is_ended and not is_cut:
-                yield unreadable(b"", f"{one.name}: the file ends without a footer")
-            rest = one.file.read(MAX_KEPT) if is_ended else b""
+                yield unreadable(b"", f"{log.name}: the file ends without a footer")
+            rest = log.file.read(MAX_KEPT) if is_ended else b""
             if not MAGIC.startswith(rest):
-                yield unreadable(rest.removeprefix(MAGIC), f"{one.name}: bytes after its end, as in joined files")
+                yield unreadable(rest.removeprefix(MAGIC), f"{log.name}: bytes after its end, as in joined files")
 
     def _chunk(self, framed: Framed) -> Iterator[Record]:
         try:
@@ -135,7 +135,7 @@ class Mcap:
             yield unreadable(framed.content[:MAX_KEPT], why if framed.is_whole else "a chunk that was cut short")
 
     def _record(self, framed: Framed) -> Iterator[Record]:
-        """Yield a message as a record, and what is cut or cannot be read; keep schemas and channels."""
+        """Yield a record for a message, and for what is cut or unreadable; keep schemas and channels."""
         if not framed.is_whole:
             yield unreadable(framed.content[:MAX_KEPT], f"a record of type {framed.opcode} that was cut short")
             return
@@ -165,7 +165,7 @@ class Mcap:
                 data = msgspec.json.decode(message.data, type=dict[str, Any])
             except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
                 return unreadable(message.data, f"{channel.topic}: {error}")
-            values |= {name: shown(one) for name, one in data.items() if not isinstance(one, dict | list)}
+            values |= {name: shown(item) for name, item in data.items() if not isinstance(item, dict | list)}
         return Record(
             _kind(kind, data or {}),
             message.data,
@@ -177,7 +177,7 @@ class Mcap:
         )
 
     def derive(self, record: Record) -> Iterable[Derived] | None:
-        """Return what has changed in the goals of an action; None for what was not decoded."""
+        """Return what has changed in the goals of an action; None if the record was not decoded."""
         if record.data is None or record.data[2] is None:
             return None
         _, topic, data = record.data
@@ -185,21 +185,21 @@ class Mcap:
         if robot is None or not _is_status(record):
             return ()
         listed = data.get("status_list")
-        goals = [one for one in listed if isinstance(one, dict)] if isinstance(listed, list) else []
+        goals = [goal for goal in listed if isinstance(goal, dict)] if isinstance(listed, list) else []
         return [Derived(event) for goal in goals for event in self._changed(topic, robot, action, goal)]
 
     def _changed(self, topic: str, robot: Robot, action: str, goal: Mapping[str, Any]) -> Iterator[Event]:
-        """Yield what the status of a goal says that the one before it did not; a status never goes back."""
+        """Yield the events of a goal whose status has advanced; a status never goes back."""
         name, status = _goal(goal), goal.get("status")
         if name is None or type(status) is not int or not 0 < status < len(STATUSES):
             return
-        before = self._statuses.get((topic, name), 0)
-        if status <= before or before >= STATUSES.index("SUCCEEDED"):
+        previous = self._statuses.get((topic, name), 0)
+        if status <= previous or previous >= STATUSES.index("SUCCEEDED"):
             return
         self._statuses[topic, name] = status
         parties = Parties(requested_by=None, executed_by=robot, supervised_by=None)
         subject = Subject(name, name)
-        if not before:
+        if not previous:
             yield RequestAccepted(RequestSubject(name, name, None), parties.decided(robot))
         match STATUSES[status]:
             case "EXECUTING":
@@ -214,7 +214,7 @@ class Mcap:
 
 
 def _framed(file: BinaryIO) -> Iterator[Framed]:
-    """Yield the records of the file, or of an unpacked chunk, until it ends or what follows is no record."""
+    """Yield the records of the file, or of an unpacked chunk, up to its end or the first damage."""
     while head := file.read(9):
         length = int.from_bytes(head[1:], "little")
         if len(head) < 9 or length > MAX_RECORD:
@@ -227,7 +227,7 @@ def _framed(file: BinaryIO) -> Iterator[Framed]:
 
 
 def _unpacked(chunk: Chunk) -> tuple[bytes, str]:
-    """Return as much of a chunk as can be unpacked, and what is wrong with it, if anything is."""
+    """Return as much of a chunk as can be unpacked, and the error, empty if there is none."""
     try:
         match chunk.compression:
             case "zstd":
@@ -246,7 +246,7 @@ def _unpacked(chunk: Chunk) -> tuple[bytes, str]:
 
 
 def _kind(schema: str, data: Mapping[str, Any]) -> str:
-    """Return the kind of a message; of a log and a service event it has the level and the event."""
+    """Return the kind of a message, with the level of a log or the type of a service event."""
     info = data.get("info")
     if schema.endswith("_Event") and isinstance(info, dict):
         return f"{schema}/{_named(SERVICE_EVENTS, info.get('event_type'))}"
@@ -276,7 +276,7 @@ def _goal(status: Mapping[str, Any]) -> str | None:
     """Return the goal's UUID in hexadecimal, whether it is written as text or as 16 numbers."""
     info = status.get("goal_info")
     goal = info.get("goal_id") if isinstance(info, dict) else None
-    found = goal.get("uuid") if isinstance(goal, dict) else None
-    if isinstance(found, list) and all(type(one) is int and 0 <= one < 256 for one in found):
-        return bytes(found).hex()
-    return found if isinstance(found, str) and found else None
+    uuid = goal.get("uuid") if isinstance(goal, dict) else None
+    if isinstance(uuid, list) and all(type(byte) is int and 0 <= byte < 256 for byte in uuid):
+        return bytes(uuid).hex()
+    return uuid if isinstance(uuid, str) and uuid else None

@@ -1,8 +1,8 @@
-"""Commitments in place of the names of people, whose table lies outside the ledger and can be erased.
+"""Commitments in place of the names of people, in a table that lies outside the ledger and can be erased.
 
-A name becomes `supervisor/~` and 26 letters, the SHA-256 of the name and a random key of its own, which stands beside
-it in the table. The ledger proves the same with and without the table; without a line of it nobody can tell the name,
-nor test a guess. What stays is the pattern: that it is one person, when, and about what.
+A name becomes `supervisor/~` and 26 letters, the SHA-256 of the name and a random key of its own, which is beside it in
+the table. The ledger proves the same with and without the table; without its line in the table, a name cannot be
+recovered, nor a guess tested. What remains is the pattern: that it is one person, when, and about what.
 """
 
 import base64
@@ -29,7 +29,7 @@ KIND = "supervisor/"
 
 
 class NamedPerson(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A line of the table: the name, its key (hex), and what stands in the ledger in its place."""
+    """A line of the table: the name, its key (hex), and its commitment, which the ledger has in its place."""
 
     name: str
     key: str
@@ -37,7 +37,7 @@ class NamedPerson(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def is_right(self) -> bool:
-        """Whether the commitment is that of the name."""
+        """Whether the commitment is that of the name and the key."""
         return self.commitment == committed(self.name, bytes.fromhex(self.key))
 
 
@@ -48,7 +48,7 @@ def committed(name: str, key: bytes) -> str:
 
 
 class PrivateNames:
-    """The table of names, a file of JSON lines that only its owner can read; made if there is none.
+    """The table of names, a file of JSON lines that only its owner can read; created if missing.
 
     Raises:
         UsageError: The file holds something else, or a commitment that is not that of its name.
@@ -61,7 +61,7 @@ class PrivateNames:
             self._known = self._commitments(lines)
 
     def hidden(self, name: str) -> str:
-        """Return the commitment to a name; a new one is in the table, on disk, before it is returned."""
+        """Return the commitment to a name; a new one is on disk, in the table, before it is returned."""
         if name not in self._known:
             with self._table() as (file, lines):
                 self._known = self._commitments(lines) | self._known  # recorders may share the table
@@ -71,7 +71,7 @@ class PrivateNames:
 
     @contextmanager
     def _table(self) -> Iterator[tuple[int, list[bytes]]]:
-        """Open the table and read its lines; whoever else wants it waits, where the file system has locks."""
+        """Open the table and read its lines, under an exclusive lock where the file system has locks."""
         try:
             file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o600)
         except OSError as error:
@@ -86,52 +86,52 @@ class PrivateNames:
             os.close(file)
 
     def _commitments(self, lines: Sequence[bytes]) -> dict[str, str]:
-        known: dict[str, str] = {}
+        commitments: dict[str, str] = {}
         for number, line in enumerate(lines, 1):
             where = f"{value(str(self._path))}:{number}"
             try:
-                one = msgspec.json.decode(line, type=NamedPerson)
-                is_right = one.is_right
+                person = msgspec.json.decode(line, type=NamedPerson)
+                is_right = person.is_right
             except (msgspec.DecodeError, ValueError) as error:
                 raise UsageError(f"{where}: {error!s:.200}; expected a line of a table of names") from error
             if not is_right:
                 raise UsageError(f"{where}: found another commitment than that of the name and key")
-            if known.setdefault(one.name, one.commitment) != one.commitment:
+            if commitments.setdefault(person.name, person.commitment) != person.commitment:
                 raise UsageError(
                     f"{where}: found a second commitment to a name, expected one: they would be two persons; keep the "
                     "line whose commitment the ledger has, and the other elsewhere"
                 )
-        return known
+        return commitments
 
     def _added(self, file: int, lines: Sequence[bytes], name: str) -> str:
         key = secrets.token_bytes(32)
-        one = NamedPerson(name, key.hex(), committed(name, key))
+        person = NamedPerson(name, key.hex(), committed(name, key))
         gap = b"" if not lines or lines[-1].endswith(b"\n") else b"\n"  # an editor may have left the last line open
         try:
-            append_whole(file, gap + msgspec.json.encode(one) + b"\n")
+            append_whole(file, gap + msgspec.json.encode(person) + b"\n")
         except OSError as error:
             raise self._failed("the name was not written", error) from error
-        return one.commitment
+        return person.commitment
 
     def _failed(self, what: str, error: OSError) -> WriteFailed:
         return WriteFailed(f"{value(str(self._path))}: {what} ({error.strerror})")
 
     def known(self, principal: str) -> str:
-        """Return the principal as the ledger names it, with the name itself if the table has no line of it."""
+        """Return the principal as the ledger names it, unchanged if the table has no line for the name."""
         commitment = self._known.get(principal.removeprefix(KIND)) if self._is_name(principal) else None
         return principal if commitment is None else KIND + commitment
 
     def event(self, event: Event) -> Event:
         """Return the event with commitments in place of the names of supervisors, and of persons that it observes."""
         changes: dict[str, object] = {}
-        for column, found in flat(event).items():
-            if isinstance(found, str) and self._is_name(found):
-                changes[column] = self._principal(found)
-            elif isinstance(found, tuple) and any(map(self._is_name, found)):
-                changes[column] = tuple(self._principal(one) if self._is_name(one) else one for one in found)
+        for column, content in flat(event).items():
+            if isinstance(content, str) and self._is_name(content):
+                changes[column] = self._principal(content)
+            elif isinstance(content, tuple) and any(map(self._is_name, content)):
+                changes[column] = tuple(self._principal(name) if self._is_name(name) else name for name in content)
         if isinstance(event, Observed) and any(map(_is_person, event.qualifiers)):
             pairs = zip(event.objects, event.qualifiers, strict=True)
-            changes["objects"] = tuple(self.hidden(one) if _is_person(part) else one for one, part in pairs)
+            changes["objects"] = tuple(self.hidden(name) if _is_person(part) else name for name, part in pairs)
         return with_columns(event, **changes) if changes else event
 
     def _principal(self, name: str) -> str:
@@ -143,5 +143,5 @@ class PrivateNames:
 
 
 def _is_person(part: str) -> bool:
-    """Return whether an object plays the part of a person, perhaps beside others (`person, owner`)."""
+    """Return whether the part of an object is that of a person, perhaps beside others (`person, owner`)."""
     return PERSON in part.split(", ")

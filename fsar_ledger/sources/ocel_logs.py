@@ -20,7 +20,7 @@ SQLITE = b"SQLite format 3\0"
 TABLES = ("event", "event_map_type", "event_object", "object", "object_map_type", "object_object")
 ENVELOPE = ("ocel_id", "ocel_time", "ocel_changed_field")
 MAX_US = 4_000_000_000_000_000
-"""More than a century around 1970: times further apart are no whole numbers that every reader of JSON keeps."""
+"""More than a century around 1970: not every reader of JSON keeps larger whole numbers."""
 
 
 class Item(msgspec.Struct, frozen=True):
@@ -53,12 +53,12 @@ class Log(Protocol):
 def opened_log(one: Input) -> Log:
     """Return the log in this input, which is at its beginning before and after.
 
-    Raises: UsageError for what is no such log, and for a database that comes from standard input.
+    Raises: UsageError if it is not such a log, or a database from standard input.
     """
-    begin = one.file.read(len(SQLITE)) if one.path is not None else b""
+    head = one.file.read(len(SQLITE)) if one.path is not None else b""
     if one.path is not None:
         one.file.seek(0)
-        if begin == SQLITE:
+        if head == SQLITE:
             return SqliteLog(one.path)
     text = one.file.read()
     if one.path is not None:
@@ -69,7 +69,7 @@ def opened_log(one: Input) -> Log:
 
 
 class JsonLog:
-    """A log in JSON, with the memory of its text."""
+    """A log in JSON, whose text is kept in memory."""
 
     def __init__(self, name: str, text: bytes) -> None:
         expected = "expected a log of OCEL 2.0: an object with events and objects"
@@ -85,7 +85,7 @@ class JsonLog:
         except (KeyError, *BROKEN) as error:
             found = ", ".join(sorted(top)[:9])
             raise UsageError(f"{name}: found an object with {value(found)} ({error!s:.90}), {expected}") from error
-        self._types = [one["name"] for one in types if isinstance(one.get("name"), str)]
+        self._types = [entry["name"] for entry in types if isinstance(entry.get("name"), str)]
 
     def event_types(self) -> list[str]:
         """Return the types of events that the log declares."""
@@ -96,19 +96,19 @@ class JsonLog:
         return (_item(raw, is_event=False) for raw in self._objects)
 
     def events(self) -> Iterator[Item | Record]:
-        """Yield the events by time, and a record for each that cannot be read; what has no time keeps its place."""
+        """Yield the events by time, and a record for each unreadable one; an event without a time keeps its place."""
         times, last = [], 0
         for raw in self._events:
-            last = found if (found := _time(raw)) is not None else last
+            last = time if (time := _time(raw)) is not None else last
             times.append(last)
-        # Few logs have another order than that of time, and sorting keeps the order of what happens at once.
-        return (_item(self._events[at], is_event=True) for at in sorted(range(len(times)), key=times.__getitem__))
+        # Most logs are in order of time already, and the sort is stable.
+        return (_item(self._events[index], is_event=True) for index in sorted(range(len(times)), key=times.__getitem__))
 
 
 def time_us(text: object) -> int | None:
-    """Return a time in microseconds since 1970, None for what is none, or no time at which anything was recorded."""
-    found = utc_us(text)
-    return found if found is not None and abs(found) < MAX_US else None
+    """Return a time in microseconds since 1970; None if it is not a time, or not one within `MAX_US`."""
+    time = utc_us(text)
+    return time if time is not None and abs(time) < MAX_US else None
 
 
 def _time(raw: msgspec.Raw) -> int | None:
@@ -120,33 +120,38 @@ def _time(raw: msgspec.Raw) -> int | None:
 
 def _item(raw: msgspec.Raw, *, is_event: bool) -> Item | Record:
     try:
-        found = OBJECT.decode(raw)
-        name, kind = found["id"], found["type"]
+        document = OBJECT.decode(raw)
+        name, kind = document["id"], document["type"]
         attributes = tuple(
-            (one["name"] if is_event or not _is_change(one) else f"{one['name']}@{one['time']}", one.get("value"))
-            for one in found.get("attributes") or ()
+            (
+                entry["name"] if is_event or not _is_change(entry) else f"{entry['name']}@{entry['time']}",
+                entry.get("value"),
+            )
+            for entry in document.get("attributes") or ()
         )
-        related = tuple((one["objectId"], str(one.get("qualifier") or "")) for one in found.get("relationships") or ())
+        related = tuple(
+            (entry["objectId"], str(entry.get("qualifier") or "")) for entry in document.get("relationships") or ()
+        )
     except (KeyError, TypeError, AttributeError, *BROKEN) as error:
         return unreadable(bytes(raw), f"{type(error).__name__}: {error}")
-    if not all(isinstance(one, str) for one in (name, kind, *(each for each, _ in (*attributes, *related)))):
+    if not all(isinstance(entry, str) for entry in (name, kind, *(label for label, _ in (*attributes, *related)))):
         return unreadable(bytes(raw), "expected texts as id, type, and names of attributes and objects")
-    return Item(name, kind, time_us(found.get("time")) if is_event else None, attributes, related, bytes(raw))
+    return Item(name, kind, time_us(document.get("time")) if is_event else None, attributes, related, bytes(raw))
 
 
 def _is_change(attribute: Any) -> bool:
-    """Return whether the attribute of an object has its value from a later time on: the first has that of 1970."""
+    """Return whether the attribute is a later change of its value; the first value has the time 1970."""
     return bool(attribute.get("time")) and utc_us(attribute["time"]) != 0
 
 
 class SqliteLog:
-    """A log in an SQLite database, which is read row by row; only its sorting takes temporary files."""
+    """A log in an SQLite database, which is read row by row; only sorting uses temporary files."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         with self._opened() as database:
-            there = {str(name) for (name,) in database.execute("SELECT name FROM sqlite_master")}
-            if lacking := [name for name in TABLES if name not in there]:
+            tables = {str(name) for (name,) in database.execute("SELECT name FROM sqlite_master")}
+            if lacking := [name for name in TABLES if name not in tables]:
                 raise UsageError(
                     f"{value(str(path))}: found no table {lacking[0]}, expected the tables of OCEL 2.0: "
                     f"{', '.join(TABLES)}, and one for each type"
@@ -177,18 +182,18 @@ class SqliteLog:
             for kind, table in _types(database, "object"):
                 for (_, name), rows in groupby(_rows(database, "object", kind, table), lambda row: row[:2]):
                     attributes = tuple(
-                        (column if row[2] is None or utc_us(row[2]) == 0 else f"{column}@{row[2]}", one)
+                        (column if row[2] is None or utc_us(row[2]) == 0 else f"{column}@{row[2]}", attribute)
                         for row in rows
-                        for column, one in row[3].items()
+                        for column, attribute in row[3].items()
                     )
                     yield _made(database, str(name), kind, None, None, attributes)
 
     def events(self) -> Iterator[Item | Record]:
-        """Yield the events by time, and by their place in their table where times are equal."""
+        """Yield the events by time, and by their position in their table where times are equal."""
         with self._opened() as database:
             _index(database, "event_object", "ocel_event_id", "ocel_object_id")
             tables = [_events(database, kind, table) for kind, table in _types(database, "event")]
-            for text, _, name, kind, values in heapq.merge(*tables, key=lambda one: one[:2]):
+            for text, _, name, kind, values in heapq.merge(*tables, key=lambda row: row[:2]):
                 yield _made(database, name, kind, text or None, time_us(text), tuple(values.items()))
 
 
@@ -196,8 +201,8 @@ _Event = tuple[str, int, str, str, dict[str, Any]]
 
 
 def _events(database: sqlite3.Connection, kind: str, table: str | None) -> Iterator[_Event]:
-    for place, name, time, values in _rows(database, "event", kind, table):
-        yield str(time or ""), place, str(name), kind, values
+    for position, name, time, values in _rows(database, "event", kind, table):
+        yield str(time or ""), position, str(name), kind, values
 
 
 def _quoted(name: str) -> str:
@@ -205,53 +210,60 @@ def _quoted(name: str) -> str:
 
 
 def _types(database: sqlite3.Connection, part: str) -> list[tuple[str, str | None]]:
-    """Return each type of events or objects with its table; None where the log names none."""
-    found = database.execute(
+    """Return each type of events or objects with its table; None if the log names none."""
+    rows = database.execute(
         f"SELECT kinds.ocel_type, map.ocel_type_map FROM (SELECT ocel_type FROM {part} UNION SELECT ocel_type "
         f"FROM {part}_map_type) AS kinds LEFT JOIN {part}_map_type AS map USING (ocel_type) ORDER BY 1"
     )
-    return [(str(kind), None if name is None else _quoted(f"{part}_{name}")) for kind, name in found.fetchall()]
+    return [(str(kind), None if name is None else _quoted(f"{part}_{name}")) for kind, name in rows.fetchall()]
 
 
 def _rows(
     database: sqlite3.Connection, part: str, kind: str, table: str | None
 ) -> Iterator[tuple[int, Any, Any, dict[str, Any]]]:
-    """Yield place, id, time and attributes of each event, or of each state of an object, of a type, in order."""
-    own = f"SELECT rowid AS place, ocel_id AS name FROM {part} WHERE ocel_type = ?"
+    """Yield position, id, time and attributes of each event, or of each state of an object, of a type, in order."""
+    query = f"SELECT rowid AS place, ocel_id AS name FROM {part} WHERE ocel_type = ?"
     if table is None:
-        found = database.execute(f"{own} ORDER BY 1", (kind,))
+        cursor = database.execute(f"{query} ORDER BY 1", (kind,))
     else:
         (strays,) = database.execute(
             f"SELECT count(*) FROM {table} WHERE ocel_id NOT IN (SELECT ocel_id FROM {part})"
         ).fetchone()
         if strays:
             raise sqlite3.DatabaseError(f"found {strays} rows of {table} that {part} does not have")
-        there = {str(name) for _, name, *_ in database.execute(f"PRAGMA table_info({table})")}
-        order = "ocel_time, place" if part == "event" else "place, ocel_time" if "ocel_time" in there else "place"
-        found = database.execute(
-            f"SELECT * FROM ({own}) AS own LEFT JOIN {table} AS told ON own.name = told.ocel_id ORDER BY {order}",
+        table_columns = {str(name) for _, name, *_ in database.execute(f"PRAGMA table_info({table})")}
+        order = (
+            "ocel_time, place" if part == "event" else "place, ocel_time" if "ocel_time" in table_columns else "place"
+        )
+        cursor = database.execute(
+            f"SELECT * FROM ({query}) AS own LEFT JOIN {table} AS told ON own.name = told.ocel_id ORDER BY {order}",
             (kind,),
         )
-    columns = [name for name, *_ in found.description]
-    for row in found:
+    columns = [name for name, *_ in cursor.description]
+    for row in cursor:
         values = dict(zip(columns, row, strict=True))
-        place, name, time = values.pop("place"), values.pop("name"), values.get("ocel_time")
+        position, name, time = values.pop("place"), values.pop("name"), values.get("ocel_time")
         yield (
-            place,
+            position,
             name,
             time,
-            {one: _plain(it) for one, it in values.items() if it is not None and one not in ENVELOPE},
+            {
+                column: _plain(attribute)
+                for column, attribute in values.items()
+                if attribute is not None and column not in ENVELOPE
+            },
         )
 
 
-def _plain(found: Any) -> Any:
-    return found.hex() if isinstance(found, bytes) else found
+def _plain(attribute: Any) -> Any:
+    return attribute.hex() if isinstance(attribute, bytes) else attribute
 
 
-def _index(database: sqlite3.Connection, table: str, own: str, other: str) -> None:
+def _index(database: sqlite3.Connection, table: str, source: str, target: str) -> None:
     """Copy a table of relations and index it, in a temporary file: writers leave it without an index."""
     database.execute(
-        f"CREATE TEMP TABLE relation AS SELECT {own} AS own, {other} AS other, ocel_qualifier AS qualifier FROM {table}"
+        f"CREATE TEMP TABLE relation AS SELECT {source} AS own, {target} AS other, ocel_qualifier AS qualifier "
+        f"FROM {table}"
     )
     database.execute("CREATE INDEX temp.relations ON relation (own)")
 
@@ -264,12 +276,12 @@ def _made(
     time_us: int | None,
     attributes: tuple[tuple[str, Any], ...],
 ) -> Item:
-    """Return an item with its relations; its bytes are those that it has in JSON."""
-    found = database.execute("SELECT other, qualifier FROM relation WHERE own = ? ORDER BY rowid", (name,))
-    related = tuple((str(other), str(qualifier or "")) for other, qualifier in found)
+    """Return an item with its relations; its raw bytes are its JSON."""
+    rows = database.execute("SELECT other, qualifier FROM relation WHERE own = ? ORDER BY rowid", (name,))
+    related = tuple((str(other), str(qualifier or "")) for other, qualifier in rows)
     document: dict[str, Any] = {"id": name, "type": kind} | ({} if time is None else {"time": time})
     document |= {
-        "attributes": [{"name": one, "value": it} for one, it in attributes],
-        "relationships": [{"objectId": one, "qualifier": it} for one, it in related],
+        "attributes": [{"name": label, "value": content} for label, content in attributes],
+        "relationships": [{"objectId": label, "qualifier": content} for label, content in related],
     }
     return Item(name, kind, time_us, attributes, related, msgspec.json.encode(document))

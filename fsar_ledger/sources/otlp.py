@@ -2,17 +2,17 @@
 
 As the file exporter of the collector writes it; one document over several lines is read, too. Attributes are those of
 the conventions for generative AI 1.41. A span arrives when it has ended, a parent after its children: the run is in
-order of arrival, at the ends of the spans, and their starts stand beside it. Whose a span is, its own attributes say,
-else its parent's. What follows from a span is told once it is known whose its parent is.
+order of arrival, at the ends of the spans, with their starts beside it. The agent of a span is the one that its own
+attributes name, else its parent's. Events follow from a span once the agent of its parent is known.
 
 | span | becomes |
 |---|---|
 | `invoke_agent` under a span of another agent | `RequestIssued`, `RequestClosed` by that agent |
 | the same, unless its kind is CLIENT: only the caller saw it | `RequestAccepted`; `ExecutionStarted` for that agent |
-| `invoke_agent` of nobody, or under a span of the same agent | `ExecutionStarted` |
+| `invoke_agent` without a caller, or under a span of the same agent | `ExecutionStarted` |
 | `execute_tool` | `ExecutionStarted` by the agent whose span it is, of the tool |
 | each of these executions, as it ended | `ExecutionFinished`; `ExecutionFailed`, `Withdrawn` with the status ERROR |
-| one with the status message ExecutionWithdrawn | `ExecutionWithdrawn`: how it would have ended, nobody knows |
+| one with the status message ExecutionWithdrawn | `ExecutionWithdrawn`: how it would have ended is unknown |
 | one with the `error.type` RequestDenied or RequestUnanswered | no execution, and no `RequestAccepted` |
 | any other, and one whose parent is not in the recording | an observation |
 """
@@ -31,19 +31,19 @@ from .adapter import UNREADABLE, Derived, Input, Record
 from .otlp_spans import Key, Span, records, texts
 
 KEPT_SPANS = 1 << 16
-"""Spans of which the owner, or the parent, is remembered: a child that comes later than that has an unknown parent."""
+"""Spans whose owner, or parent, is remembered: a child that comes later than that has an unknown parent."""
 WAITING_SPANS = 1 << 16
-"""Spans that wait for their parents at most; those that wait longest are told then, as asked by nobody known."""
+"""The most spans that wait for their parents; beyond it, the oldest are derived without a known requester."""
 MAX_HOPS = 256
-"""Spans between a span and the one that says whose it is: more, or a circle, is nobody's."""
+"""The most spans between a span and the one that names its agent; beyond it, or in a cycle, there is none."""
 WITHDRAWN = "ExecutionWithdrawn"
 """The failure of an execution that was withdrawn and had not failed, as our own export names it."""
 MAX_STRANGE = 100
-"""Lines at the beginning that are not of the format, before the input is taken to be none of it."""
+"""The most lines of another format at the beginning of an input of this format."""
 
 
 class Otlp:
-    """Reads OTLP JSON."""
+    """A reader of OTLP JSON."""
 
     name = "otlp"
     version = "1"
@@ -74,22 +74,22 @@ class Otlp:
         )
 
     def look(self, inputs: Iterable[Input]) -> None:
-        """Raise what `read` would of files that are not of the format, before there is a run."""
-        for one in inputs:
-            if one.path is not None:
-                next(_read(one), None)
-                one.file.seek(0)
+        """Raise what `read` would for files that are not of the format, before there is a run."""
+        for log in inputs:
+            if log.path is not None:
+                next(_read(log), None)
+                log.file.seek(0)
 
     def read(self, inputs: Iterable[Input]) -> Iterator[Record]:
         """Yield every span, and a record for each line of metrics or logs.
 
         Raises: UsageError for an input that begins with something else.
         """
-        for one in inputs:
-            yield from _read(one)
+        for log in inputs:
+            yield from _read(log)
 
     def derive(self, record: Record) -> Iterable[Derived] | None:
-        """Return what is known now: of this span, and of those that waited for it."""
+        """Return the events of this span, and of those that waited for it."""
         span = record.data
         if span is None:
             return None
@@ -102,19 +102,19 @@ class Otlp:
         # A child ended before its parent did, but what is called acts after the call.
         for group in ([span, *children],) if span.key in self._calls else (children, [span]):
             closings: list[Event] = []
-            for one in group:
-                if one.operation in ("invoke_agent", "execute_tool"):
-                    self._tell(one, events, closings)
+            for member in group:
+                if member.operation in ("invoke_agent", "execute_tool"):
+                    self._tell(member, events, closings)
             events += closings
         while self._waiting_spans > WAITING_SPANS:
             late = self._waiting.pop(next(iter(self._waiting)))
             self._waiting_spans -= len(late)
-            for one in late:
-                events += _executed(one, one.agent, None, one.key)
+            for member in late:
+                events += _executed(member, member.agent, None, member.key)
         return [Derived(event) for event in events]
 
     def _remember(self, span: Span) -> None:
-        """Note whose the span is, or whose child; that of a call, or of a creation, is not whose name it has."""
+        """Keep the agent of the span, or its parent; a call or a creation is not of the agent that it names."""
         is_call = span.is_client and span.operation == "invoke_agent"
         names_another = is_call or span.operation == "create_agent"
         self._owners[span.key] = span.parent if span.agent is None or names_another else span.agent
@@ -126,56 +126,58 @@ class Otlp:
             self._calls.pop(oldest, None)
 
     def _tell(self, span: Span, events: list[Event], closings: list[Event]) -> None:
-        """Add what follows from the span, or let it wait for the span that it is not known without."""
-        asker: Robot | Key | None = span.parent
+        """Add the events of the span, or let it wait for the span that they depend on."""
+        caller: Robot | Key | None = span.parent
         call: Key | None = None
         for _ in range(MAX_HOPS):
-            if not isinstance(asker, tuple):
+            if not isinstance(caller, tuple):
                 break
-            if asker not in self._owners:
-                self._waiting.setdefault(asker, []).append(span)
+            if caller not in self._owners:
+                self._waiting.setdefault(caller, []).append(span)
                 self._waiting_spans += 1
                 return
-            called = self._calls.get(asker)
+            called = self._calls.get(caller)
             if called is not None and called == span.agent and span.operation == "invoke_agent":
-                call, asker = asker, self._owners[asker]
+                call, caller = caller, self._owners[caller]
             else:
-                asker = called or self._owners[asker]
-        by = None if isinstance(asker, tuple) else asker
+                caller = called or self._owners[caller]
+        requester = None if isinstance(caller, tuple) else caller
         is_tool = span.operation == "execute_tool"
-        agent = span.agent or (by if is_tool else None)
-        if not is_tool and agent is not None and by is not None and agent != by:
-            self._request(span, agent, by, call, events, closings)
+        agent = span.agent or (requester if is_tool else None)
+        if not is_tool and agent is not None and requester is not None and agent != requester:
+            self._request(span, agent, requester, call, events, closings)
         elif is_tool or not span.is_client:
-            events += _executed(span, agent, by, span.key)
+            events += _executed(span, agent, requester, span.key)
 
     def _request(
-        self, span: Span, agent: Robot, by: Robot, call: Key | None, events: list[Event], closings: list[Event]
+        self, span: Span, agent: Robot, requester: Robot, call: Key | None, events: list[Event], closings: list[Event]
     ) -> None:
-        """Add that `by` asked the agent, and what the agent did; the caller told of a `call` itself."""
+        """Add the requester's request to the agent, and what the agent did; a `call` was recorded by the caller."""
         action = call or span.key
         subject = RequestSubject(span.key[0], "/".join(action), None)
-        parties = Parties(requested_by=by, executed_by=agent, supervised_by=None)
+        parties = Parties(requested_by=requester, executed_by=agent, supervised_by=None)
         if call is None:
-            events.append(RequestIssued(subject=subject, principals=parties.decided(by), capability=span.capability))
+            events.append(
+                RequestIssued(subject=subject, principals=parties.decided(requester), capability=span.capability)
+            )
         if not span.is_client and span.is_executed:
             events.append(RequestAccepted(subject, parties.decided(agent)))
-            events += _executed(span, agent, by, action)
+            events += _executed(span, agent, requester, action)
         if call is None and not span.is_open:
             result: Literal["success", "failure"] = "success" if span.failure is None else "failure"
-            closings.append(RequestClosed(subject, parties.decided(by), result))
+            closings.append(RequestClosed(subject, parties.decided(requester), result))
 
 
-def _executed(span: Span, agent: Robot | None, by: Robot | None, action: Key) -> Iterator[Event]:
-    """Yield that the agent executed the span; nothing where nobody knows who did, or it was not executed."""
+def _executed(span: Span, agent: Robot | None, requester: Robot | None, action: Key) -> Iterator[Event]:
+    """Yield the execution of the span by the agent; nothing if the agent is unknown, or it was not executed."""
     if agent is None or not span.is_executed:
         return
     subject, parties = (
         Subject(span.key[0], "/".join(action)),
-        Parties(requested_by=by, executed_by=agent, supervised_by=None),
+        Parties(requested_by=requester, executed_by=agent, supervised_by=None),
     )
     yield ExecutionStarted(
-        subject=subject, principals=parties, robot=agent, on_behalf_of=by, capability=span.capability
+        subject=subject, principals=parties, robot=agent, on_behalf_of=requester, capability=span.capability
     )
     if span.is_open:
         return
@@ -188,26 +190,26 @@ def _executed(span: Span, agent: Robot | None, by: Robot | None, action: Key) ->
         yield ExecutionWithdrawn(subject, agent, 1)
 
 
-def _read(one: Input) -> Iterator[Record]:
+def _read(log: Input) -> Iterator[Record]:
     strange: list[Record] = []
     is_known = False
-    for text in texts(one):
-        found = list(records(text))
-        found[:1] = [first._replace(line=text) for first in found[:1]]
-        if not is_known and all(record.kind == UNREADABLE for record in found):
-            strange += found
+    for text in texts(log):
+        spans = list(records(text))
+        spans[:1] = [first._replace(line=text) for first in spans[:1]]
+        if not is_known and all(record.kind == UNREADABLE for record in spans):
+            strange += spans
             if len(strange) > MAX_STRANGE:
-                raise _not_otlp(one, strange[0])
+                raise _not_otlp(log, strange[0])
             continue
         yield from strange
         strange, is_known = [], True
-        yield from found
+        yield from spans
     if strange:
-        raise _not_otlp(one, strange[0])
+        raise _not_otlp(log, strange[0])
 
 
-def _not_otlp(one: Input, first: Record) -> UsageError:
+def _not_otlp(log: Input, first: Record) -> UsageError:
     return UsageError(
-        f"{value(str(one.path or one.name))}: found {value(first.raw[:60].decode(errors='backslashreplace'))}, "
+        f"{value(str(log.path or log.name))}: found {value(first.raw[:60].decode(errors='backslashreplace'))}, "
         "expected lines of OTLP JSON with resourceSpans; write them with the collector's file exporter (format: json)"
     )

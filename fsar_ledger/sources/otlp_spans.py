@@ -36,16 +36,16 @@ SHOWN = (
 )
 """The attributes that an observation shows: none that may hold what was said to a model."""
 REFUSED = ("RequestDenied", "RequestUnanswered")
-"""Types of errors of a span that was asked for and never began, as our own export names them."""
+"""Types of errors of a span that was requested and never began, as our own export names them."""
 MAX_NS = 9_000_000_000_000_000_000
 
 Key = tuple[str, str]
 
 
 class Span(msgspec.Struct, frozen=True, gc=False):
-    """What is needed of a span: its own agent, if it names one, what it does, and how that ended, if it did.
+    """The needed fields of a span: its own agent, if it names one, its operation, and how that ended, if it did.
 
-    `is_executed`: it stands for something that was done, not for a task of our own export, or what nobody took up.
+    `is_executed`: it stands for something that was done, not for a task of our own export, or a request not taken up.
     """
 
     key: Key
@@ -61,28 +61,28 @@ class Span(msgspec.Struct, frozen=True, gc=False):
 
 def texts(one: Input) -> Iterator[bytes]:
     """Yield the lines of an input, or all of it if its lines are those of one document."""
-    found = lines([one])
-    held: list[bytes] = []
+    remaining = lines([one])
+    buffered: list[bytes] = []
     size = 0
-    for line in found:
-        held.append(line)
+    for line in remaining:
+        buffered.append(line)
         size += len(line)
         if size > MAX_DOCUMENT or _is_whole(line):
             break
     else:
-        document = b"\n".join(held)
-        if len(held) > 1 and _is_whole(document):
-            held = [document]
-    yield from held
-    yield from found
+        document = b"\n".join(buffered)
+        if len(buffered) > 1 and _is_whole(document):
+            buffered = [document]
+    yield from buffered
+    yield from remaining
 
 
 def _is_whole(text: bytes) -> bool:
     try:
-        found = RAW_OBJECT.decode(text)
+        document = RAW_OBJECT.decode(text)
     except BROKEN:
         return False
-    return any(name in found for name in (*TRACES, *OTHERS))
+    return any(name in document for name in (*TRACES, *OTHERS))
 
 
 def records(text: bytes) -> Iterator[Record]:
@@ -111,12 +111,12 @@ def records(text: bytes) -> Iterator[Record]:
             yield from (_span(raw, service) for raw in _listed(scope.get("spans")))
 
 
-def _raw(found: Mapping[str, Any], name: str) -> Any:
-    return found.get(name, found.get(SNAKE[name]))
+def _raw(fields: Mapping[str, Any], name: str) -> Any:
+    return fields.get(name, fields.get(SNAKE[name]))
 
 
 def _listed(raw: msgspec.Raw | None) -> list[msgspec.Raw]:
-    """Return the elements of a list; what is none is one element, which is told as one that cannot be read."""
+    """Return the elements of a list; anything else is one element, which becomes an unreadable record."""
     if raw is None or bytes(raw) == b"null":
         return []
     try:
@@ -126,42 +126,42 @@ def _listed(raw: msgspec.Raw | None) -> list[msgspec.Raw]:
 
 
 def _parts(raw: msgspec.Raw | None) -> Iterator[dict[str, msgspec.Raw] | Record]:
-    for one in _listed(raw):
+    for element in _listed(raw):
         try:
-            yield RAW_OBJECT.decode(one)
+            yield RAW_OBJECT.decode(element)
         except BROKEN as error:
-            yield unreadable(bytes(one), error)
+            yield unreadable(bytes(element), error)
 
 
 def _service(raw: msgspec.Raw | None) -> str | None:
     try:
-        found = {} if raw is None else OBJECT.decode(raw)
+        resource = {} if raw is None else OBJECT.decode(raw)
     except BROKEN:
         return None
-    name = _attributes(found.get("attributes")).get("service.name")
+    name = _attributes(resource.get("attributes")).get("service.name")
     return name if isinstance(name, str) else None
 
 
-def _attributes(found: object) -> dict[str, Any]:
-    """Return the attributes by name: texts, numbers as they are written, and whatever else there is."""
+def _attributes(listed: object) -> dict[str, Any]:
+    """Return the attributes by name: texts, numbers as they are written, and any other values."""
     values: dict[str, Any] = {}
-    for one in found if isinstance(found, list) else ():
-        if isinstance(one, dict) and isinstance(name := one.get("key"), str):
-            given = one.get("value")
-            values[name] = next(iter(given.values()), None) if isinstance(given, dict) else given
+    for entry in listed if isinstance(listed, list) else ():
+        if isinstance(entry, dict) and isinstance(name := entry.get("key"), str):
+            content = entry.get("value")
+            values[name] = next(iter(content.values()), None) if isinstance(content, dict) else content
     return values
 
 
-def _text(found: object) -> str | None:
-    """Return a text as an event can hold it, None for none."""
-    return escaped(found) if isinstance(found, str) and found else None
+def _text(content: object) -> str | None:
+    """Return a text as an event can hold it; None if it is empty or not a text."""
+    return escaped(content) if isinstance(content, str) and content else None
 
 
-def _id(found: object) -> str | None:
+def _id(text: object) -> str | None:
     """Return an id: hexadecimal in any case, or base64 as the JSON mapping of protobuf has it; None for zeros."""
-    if not isinstance(found, str) or not found.strip("0"):
+    if not isinstance(text, str) or not text.strip("0"):
         return None
-    return escaped(found.lower() if len(found) in (16, 32) else found)
+    return escaped(text.lower() if len(text) in (16, 32) else text)
 
 
 def _span(raw: msgspec.Raw, service: str | None) -> Record:
@@ -169,18 +169,18 @@ def _span(raw: msgspec.Raw, service: str | None) -> Record:
         span = OBJECT.decode(raw)
     except BROKEN as error:
         return unreadable(bytes(raw), error)
-    trace, own, parent = (_id(_raw(span, name)) for name in ("traceId", "spanId", "parentSpanId"))
-    about = _attributes(span.get("attributes"))
-    operation = about.get("gen_ai.operation.name")
-    agent = _robot(about)
+    trace, span_id, parent = (_id(_raw(span, name)) for name in ("traceId", "spanId", "parentSpanId"))
+    attributes = _attributes(span.get("attributes"))
+    operation = attributes.get("gen_ai.operation.name")
+    agent = _robot(attributes)
     status, kind = span.get("status"), _kind(span.get("kind"))
-    failure = _failure(status, about)
-    tool = about.get("gen_ai.tool.name")
+    failure = _failure(status, attributes)
+    tool = attributes.get("gen_ai.tool.name")
     values = {"name": shown(span.get("name"))}
-    values |= {name: shown(about[name]) for name in SHOWN if name in about}
-    values |= {name: one for name, one in (("service.name", service), ("failure", failure)) if one is not None}
-    names = ((trace, "trace"), (own, "span"), (parent, "parent"))
-    objects = {f"span/{one}" if part != "trace" else f"trace/{one}": part for one, part in names if one is not None}
+    values |= {name: shown(attributes[name]) for name in SHOWN if name in attributes}
+    values |= {name: text for name, text in (("service.name", service), ("failure", failure)) if text is not None}
+    names = ((trace, "trace"), (span_id, "span"), (parent, "parent"))
+    objects = {f"span/{text}" if part != "trace" else f"trace/{text}": part for text, part in names if text is not None}
     if agent is not None:
         objects[agent] = "agent"
     for link in span.get("links") or () if isinstance(span.get("links"), list) else ():
@@ -189,17 +189,18 @@ def _span(raw: msgspec.Raw, service: str | None) -> Record:
     is_action = operation in ("invoke_agent", "execute_tool")
     ended_us = _us(_raw(span, "endTimeUnixNano"))
     data = None
-    if trace is not None and own is not None:
+    if trace is not None and span_id is not None:
         data = Span(
-            (trace, own),
+            (trace, span_id),
             None if parent is None else (trace, parent),
             operation if isinstance(operation, str) else "",
             agent,
             kind == "CLIENT",
             (_text(tool) if operation == "execute_tool" else None) or (shown(operation) if is_action else ""),
             failure,
-            failure is None and (ended_us is None or about.get("fsar.open") is True),
-            about.get("error.type") not in REFUSED and not (operation == "invoke_agent" and "fsar.task_id" in about),
+            failure is None and (ended_us is None or attributes.get("fsar.open") is True),
+            attributes.get("error.type") not in REFUSED
+            and not (operation == "invoke_agent" and "fsar.task_id" in attributes),
         )
     return Record(
         operation if isinstance(operation, str) and operation else f"span/{kind}",
@@ -212,32 +213,32 @@ def _span(raw: msgspec.Raw, service: str | None) -> Record:
     )
 
 
-def _robot(about: Mapping[str, Any]) -> Robot | None:
-    """Return the agent that a span names; one whose name says that it is a robot or a service is that."""
-    name = _text(about.get("gen_ai.agent.name")) or _text(about.get("gen_ai.agent.id"))
+def _robot(attributes: Mapping[str, Any]) -> Robot | None:
+    """Return the agent that a span names, as a robot unless its name is that of a robot or a service already."""
+    name = _text(attributes.get("gen_ai.agent.name")) or _text(attributes.get("gen_ai.agent.id"))
     if name is None:
         return None
     return recorded_robot(name if name.startswith(("robot/", "service/")) else f"robot/{name}")
 
 
-def _kind(found: object) -> str:
+def _kind(kind: object) -> str:
     """Return the kind of a span without its prefix, from its number or its name."""
-    if isinstance(found, int) and 0 <= found < len(KINDS):
-        return KINDS[found]
-    return found.removeprefix("SPAN_KIND_") if isinstance(found, str) else KINDS[0]
+    if isinstance(kind, int) and 0 <= kind < len(KINDS):
+        return KINDS[kind]
+    return kind.removeprefix("SPAN_KIND_") if isinstance(kind, str) else KINDS[0]
 
 
-def _failure(status: object, about: Mapping[str, Any]) -> str | None:
-    """Return what went wrong: what the status says, else the type of the error; None without the status ERROR."""
+def _failure(status: object, attributes: Mapping[str, Any]) -> str | None:
+    """Return the failure: the status message, else the type of the error; None without the status ERROR."""
     if not isinstance(status, dict) or status.get("code") not in (2, "STATUS_CODE_ERROR"):
         return None
-    return _text(status.get("message")) or _text(about.get("error.type")) or "error"
+    return _text(status.get("message")) or _text(attributes.get("error.type")) or "error"
 
 
-def _us(found: object) -> int | None:
+def _us(nanoseconds: object) -> int | None:
     """Return microseconds since 1970 from nanoseconds, a number or its digits; None for anything else, and for 0."""
-    if isinstance(found, str) and found.isascii() and found.isdecimal() and len(found) < 20:
-        found = int(found)
-    if not isinstance(found, int) or not 0 < found < MAX_NS:
+    if isinstance(nanoseconds, str) and nanoseconds.isascii() and nanoseconds.isdecimal() and len(nanoseconds) < 20:
+        nanoseconds = int(nanoseconds)
+    if not isinstance(nanoseconds, int) or not 0 < nanoseconds < MAX_NS:
         return None
-    return found // 1_000
+    return nanoseconds // 1_000

@@ -1,7 +1,7 @@
-"""Record a fleet of one's own as it happens: each event is on disk when the call returns.
+"""Records a fleet of one's own as it happens: each event is on disk when the call returns.
 
-A lock makes the calls of several threads follow one another. What is wrong with an event is said before anything of it
-is written, and the record goes on.
+A lock serialises the calls of several threads. An invalid event is refused before anything of it is written, and the
+record goes on.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -29,19 +29,19 @@ from .stored import NewEvent, StoredRun, commit, stored_run
 
 ORIGIN = "fsar-ledger/recorded"
 FORMAT = "fsar-ledger/1"
-"""The format of what is recorded without a file: the events themselves."""
+"""The format of a record without a file: the events themselves."""
 WITH_COMMITMENTS = f"{FORMAT}, names of people as commitments"
-"""Who reads them so that no name of a person is on record."""
+"""The adapter of runs in which names of people are stored as commitments."""
 
 Fleet = Mapping[str, str] | Iterable[RobotJoined]
-"""The robots: role by name, without supervisors and teams, or what is known of their joining."""
+"""The robots: roles by name, without supervisors and teams, or the events of their joining."""
 
 
 class Recorder:
     """Appends events to one run of a ledger. Use it as a context manager, or call `close`.
 
     Args:
-        path: The ledger; made if there is none.
+        path: The ledger; created if missing.
         fleet: The robots, by name (`carrier-1` is `robot/carrier-1`) with their role, or events of their joining. They
             join when the run begins; a run that goes on has its robots, and takes no others.
         observes: What is recorded completely: concerns (`task`), event types (`ExecutionStarted`) and fields of them
@@ -51,10 +51,10 @@ class Recorder:
         epoch: The time of run time 0; None: now, or that of the run that goes on.
         origin: The name under which a new ledger is published.
         signer: The key that signs.
-        names: The table of names in whose place commitments are stored.
+        names: The table of the names that are stored as commitments.
 
     Raises:
-        UsageError: A name in `observes` is none or says more than the fleet does, or the run was begun otherwise.
+        UsageError: A name in `observes` is unknown or claims more than the fleet says, or the run began otherwise.
         NotALedger, LedgerCorrupted, WriteFailed: As `Writer`.
     """
 
@@ -81,7 +81,7 @@ class Recorder:
         self._writer, self._is_open = Writer(path, origin_of(path, origin, signer), signer), True
         self._batch: list[NewEvent] | None = None
         self._count = 0
-        self._is_live = epoch is None  # what is told now happens now, so the run ends now; else where it came to
+        self._is_live = epoch is None  # events without a time happen now, so the run ends now; else at its last event
         try:
             stored = stored_run(path, self.run)
             if stored is None:
@@ -105,12 +105,12 @@ class Recorder:
             event: The event, or the name of its type, which is one that the run records.
             at: When it happened (UTC if it has no zone); None: now.
             caused_by: The number of the event that led to it; None: not known.
-            columns: With the name of a type: its columns, as in `docs/event-types.json`. What is not known stays out.
+            columns: With the name of a type: its columns, as in `docs/event-types.json`. Unknown ones are left out.
 
         Raises:
             InvalidRun: A field has a value that it cannot have, or the type is not one that the run records. Nothing
                 was written; the record goes on.
-            UsageError: There is no such type or column, or `at` is no time, or lies before the event before it.
+            UsageError: There is no such type or column, or `at` is not a time, or is before the last event.
             WriteFailed: The disk refused.
         """
         if isinstance(event, str):
@@ -134,10 +134,10 @@ class Recorder:
         body: str | None = None,
         at: datetime | None = None,
     ) -> int:
-        """Record what was seen, in the words of its source, and return its number within the run.
+        """Record an observation, in the words of its source, and return its number within the run.
 
-        Whatever has no type of its own goes here: it is kept, shown, searched and proven, and nothing is concluded
-        from it. Text that cannot be printed is escaped.
+        Anything without a type of its own goes here: it is kept, shown, searched and proven, and nothing is concluded
+        from it. Unprintable text is escaped.
 
         Args:
             kind: What the source calls it (`battery/low`).
@@ -149,31 +149,31 @@ class Recorder:
 
         Raises: As `event`.
         """
-        said, about = values or {}, objects or {}
-        seen = Observed(
+        contents, about = values or {}, objects or {}
+        observation = Observed(
             source=self.source,
             kind=storable_text(kind),
-            names=tuple(map(storable_text, said)),
-            texts=tuple(storable_text(str(one)) for one in said.values()),
+            names=tuple(map(storable_text, contents)),
+            texts=tuple(storable_text(str(content)) for content in contents.values()),
             objects=tuple(map(storable_text, about)),
             qualifiers=tuple(map(storable_text, about.values())),
             source_time_us=None if source_time is None else self.run_time_us(_moment("source_time", source_time)),
             body=None if body is None else storable_text(body),
         )
-        return self.event(seen, at=at)
+        return self.event(observation, at=at)
 
     @contextmanager
     def batch(self) -> Iterator[None]:
-        """Commit everything that is recorded within it at once, at its end; nothing of it where it ends in an error."""
+        """Commit everything recorded within the block at once, at its end; nothing of it if the block raises."""
         with self._lock:
             if self._batch is not None:
                 raise UsageError("batch: found a batch within a batch, expected one at a time")
-            before, self._batch = (self._next, self._last_us, self._count), []
+            saved, self._batch = (self._next, self._last_us, self._count), []
             try:
                 yield
                 self._commit(self._batch)
             except BaseException:
-                self._next, self._last_us, self._count = before
+                self._next, self._last_us, self._count = saved
                 raise
             finally:
                 self._batch = None
@@ -183,7 +183,7 @@ class Recorder:
         return (utc.zoned(when) - self._epoch) // utc.MICROSECOND
 
     def close(self) -> None:
-        """Say until when the source was observed, and close the ledger. A recorder of the same run continues it."""
+        """Record until when the source was observed, and close the ledger. A recorder of the same run continues it."""
         with self._lock:
             if not self._is_open:
                 return
@@ -202,17 +202,17 @@ class Recorder:
         if error is None:
             self.close()
             return
-        with suppress(FsarLedgerError):  # what went wrong first is what is told
+        with suppress(FsarLedgerError):  # the first error is raised
             self.close()
 
     def _begin(self, fleet: Fleet, opened: SourceOpened | None) -> None:
         joined: list[Event] = [*_members(fleet)]
-        said = {"fleet", "RobotJoined.supervisor"} & {*self.declared.observes, *self.declared.records}
-        if said and joined and isinstance(fleet, Mapping):
+        claims = {"fleet", "RobotJoined.supervisor"} & {*self.declared.observes, *self.declared.records}
+        if claims and joined and isinstance(fleet, Mapping):
             raise UsageError(
-                f"{option('observes', min(said))}: found a fleet with the roles alone of its robots, expected one that "
-                f"says who supervises each: record RobotJoined of each in place of {option('fleet')}, or observe the "
-                "types of events that are recorded completely"
+                f"{option('observes', min(claims))}: found a fleet with the roles alone of its robots, expected one "
+                f"that says who supervises each: record RobotJoined of each in place of {option('fleet')}, or observe "
+                "the types of events that are recorded completely"
             )
         if joined and "RobotJoined" not in self.declared.kinds:
             self.declared = declared((*self.declared.observes, *self.declared.records, "RobotJoined"))
@@ -224,9 +224,9 @@ class Recorder:
             source=self.source,
         )
         if self._names is not None:
-            joined = [self._names.event(one) for one in joined]
+            joined = [self._names.event(member) for member in joined]
         events: list[Event] = [started, *joined, opened or self._opening()]
-        self._commit([(0, None if at == 0 else 0, event) for at, event in enumerate(events)])
+        self._commit([(0, None if index == 0 else 0, event) for index, event in enumerate(events)])
         self._next = len(events)
 
     def _opening(self) -> SourceOpened:
@@ -237,7 +237,7 @@ class Recorder:
         """Check that the run was begun as this recorder would, and return its epoch."""
         started = stored.started
         kept = Declared(started.observes, started.records or ())
-        asked = self.declared
+        requested = self.declared
         if self._names is None and stored.opened is not None and stored.opened.adapter == WITH_COMMITMENTS:
             raise UsageError(
                 f"run {value(self.run)}: found a run with commitments in place of the names of people, expected their "
@@ -254,12 +254,12 @@ class Recorder:
                 f"({_first(stored.robots)}), expected the same as now ({_first(robots)}); record RobotJoined of who "
                 "comes later, or give the run another name"
             )
-        before, now = {*kept.observes, *kept.records}, {*asked.observes, *asked.records}
+        before, now = {*kept.observes, *kept.records}, {*requested.observes, *requested.records}
         added = {"RobotJoined"} if stored.robots else set()  # by `_begin`
-        if not now <= before or (now and not before <= now | added):  # nothing declared is what the run records
+        if not now <= before or (now and not before <= now | added):  # no declaration means what the run records
             raise UsageError(
-                f"run {value(self.run)}: found a run that records {_shown(kept)}, expected {_shown(asked)}; declare "
-                "the same, or give the run another name"
+                f"run {value(self.run)}: found a run that records {_shown(kept)}, expected {_shown(requested)}; "
+                "declare the same, or give the run another name"
             )
         if started.epoch is None:
             raise UsageError(
@@ -275,28 +275,28 @@ class Recorder:
         return utc.parsed(started.epoch)
 
     def _require_same_supervisors(self, stored: StoredRun, fleet: Fleet) -> None:
-        """Refuse a robot with another supervisor than at the beginning; whose line is erased is somebody else."""
-        for one in () if isinstance(fleet, Mapping) else fleet:
-            before, now = stored.supervisors[one.robot], one.supervisor
-            if before == (now if self._names is None or now is None else self._names.known(now)):
+        """Refuse a robot with another supervisor than at the beginning; an erased name counts as another."""
+        for member in () if isinstance(fleet, Mapping) else fleet:
+            earlier, now = stored.supervisors[member.robot], member.supervisor
+            if earlier == (now if self._names is None or now is None else self._names.known(now)):
                 continue
             erased = "" if self._names is None else " with the line that the table of names had of them then"
             raise UsageError(
-                f"run {value(self.run)}: found {value(before or 'nobody')} as the supervisor of {value(one.robot)} "
+                f"run {value(self.run)}: found {value(earlier or 'nobody')} as the supervisor of {value(member.robot)} "
                 f"when it began, expected the same as now ({value(now or 'nobody')}){erased}; give the run another name"
             )
 
     def _time_us(self, at: datetime | None) -> int:
         if at is None:
             return max(self._last_us, self.run_time_us(datetime.now(UTC)))
-        found = self.run_time_us(_moment("at", at))
-        if found < self._last_us:
+        time_us = self.run_time_us(_moment("at", at))
+        if time_us < self._last_us:
             raise UsageError(
-                f"at: found {at.isoformat()}, {(self._last_us - found) / 1e6:.6f} s before the event before it, "
+                f"at: found {at.isoformat()}, {(self._last_us - time_us) / 1e6:.6f} s before the event before it, "
                 "expected no earlier time; the order of a run is that of arrival: leave `at` out, and keep the time of "
                 "the source in an observation (`source_time`)"
             )
-        return found
+        return time_us
 
     def _require_recordable(self, event: Event) -> None:
         kind = type(event).__name__
@@ -310,12 +310,12 @@ class Recorder:
         alone = LedgerRun(self.run, [0], [None], [event], self._next)
         if (flaw := first_unfit([alone])) is not None:
             raise refusal(flaw)
-        for name, found in flat(event).items():
-            texts: Sequence[object] = found if isinstance(found, tuple) else (found,)
+        for name, content in flat(event).items():
+            texts: Sequence[object] = content if isinstance(content, tuple) else (content,)
             if any(isinstance(text, str) and not text.isprintable() for text in texts):
                 raise InvalidRun(
-                    f"run {value(self.run)}, seq {self._next}, field {name}: found {found!r:.80}, expected characters "
-                    "that can be printed; nothing was written"
+                    f"run {value(self.run)}, seq {self._next}, field {name}: found {content!r:.80}, expected "
+                    "characters that can be printed; nothing was written"
                 )
 
     def _put(self, time_us: int, caused_by: int | None, event: Event) -> int:
@@ -339,12 +339,12 @@ class Recorder:
             commit(self._writer, self._path, self.run, rows, first)
 
 
-def _moment(name: str, found: object) -> datetime:
-    """Return the time that a parameter has. Raises: UsageError, which names it, for anything else."""
-    if isinstance(found, datetime):
-        return found
+def _moment(name: str, moment: object) -> datetime:
+    """Return the datetime of a parameter. Raises: UsageError, which names it, for anything else."""
+    if isinstance(moment, datetime):
+        return moment
     raise UsageError(
-        f"{name}: found {found!r:.80}, expected a datetime, such as datetime(2026, 3, 1, 10, tzinfo=UTC); "
+        f"{name}: found {moment!r:.80}, expected a datetime, such as datetime(2026, 3, 1, 10, tzinfo=UTC); "
         "`datetime.fromisoformat` reads it from a text"
     )
 
@@ -370,12 +370,12 @@ def _members(fleet: Fleet) -> Iterator[RobotJoined]:
 
 def roles_of(fleet: Fleet) -> Iterator[tuple[str, str]]:
     """Yield the principal and role of each robot of the fleet."""
-    return ((one.robot, one.role) for one in _members(fleet))
+    return ((member.robot, member.role) for member in _members(fleet))
 
 
 def _first(robots: Mapping[str, str]) -> str:
     return value(", ".join(sorted(robots)[:3])) + ("..." if len(robots) > 3 else "") if robots else "none"
 
 
-def _shown(one: Declared) -> str:
-    return ", ".join((*one.observes, *one.records)) or "nothing"
+def _shown(declaration: Declared) -> str:
+    return ", ".join((*declaration.observes, *declaration.records)) or "nothing"

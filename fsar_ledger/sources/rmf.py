@@ -4,9 +4,9 @@ One message of rmf_api_msgs a line: `{"type": "task_state_update", "data": {...}
 by its fields. Beside `type` a line may have `received` (ISO 8601), the time at which the recorder got it. The schemas
 are those of https://github.com/open-rmf/rmf_api_msgs, version 0.3; no message names a version.
 
-A task state is told from time to time, so what follows from it is what has changed since the last one of that task. A
-state that comes after the end of its task is an observation and no more; one of another task with the same name, which
-a dispatcher that was started again may give, is not understood.
+A task state is sent from time to time, so what follows from it is what has changed since the last one of that task. A
+state that comes after the end of its task is only an observation; one of another task with the same name, as after a
+restart of the dispatcher, is not understood.
 
 | message | becomes |
 |---|---|
@@ -20,8 +20,8 @@ a dispatcher that was started again may give, is not understood.
 | canceled, killed | `ExecutionWithdrawn`, `TaskAbandoned` |
 | anything else | an observation |
 
-Who asked, cancelled or interrupted are people and systems outside of the fleet: objects of the observation. RMF says
-which robot a task is assigned to, and never that the robot itself has accepted it.
+People and systems outside of the fleet that request, cancel or interrupt are objects of the observation. RMF says which
+robot a task is assigned to, and never that the robot itself has accepted it.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -51,15 +51,15 @@ from .rmf_messages import BEGUN, RESPONSE, assigned_robot, entries, record_of, t
 
 GIVEN_UP = frozenset(("failed", "canceled", "killed"))
 NOT_DISPATCHED = {"failed_to_assign": "failed", "canceled_in_flight": "canceled"}
-"""How a task ends that no robot gets, where its state has no status of its own."""
+"""How a task ends that is assigned to no robot, if its state has no status of its own."""
 SEARCHED = 1_000
-"""Records at the beginning of the input; unless one of them is a message of RMF, the input is no recording of it."""
+"""The records at the beginning of a recording of which at least one must be a message of RMF."""
 
 
 class Task(msgspec.Struct):
-    """What the last messages about a task said.
+    """The state of a task by its last messages.
 
-    `robot` executes it, `asked` are those whom the dispatcher gave it to, `interruptions` how many there have been.
+    `robot` executes it, `asked` are those that the dispatcher assigned, `interruptions` how many there have been.
     """
 
     is_known: bool = False
@@ -72,7 +72,7 @@ class Task(msgspec.Struct):
 
 
 class Rmf:
-    """Reads a recording of Open-RMF messages."""
+    """A reader of recordings of Open-RMF messages."""
 
     name = "rmf"
     version = "1"
@@ -82,7 +82,7 @@ class Rmf:
 
     def __init__(self) -> None:
         self._tasks: dict[str, Task] = {}
-        self._ended: dict[str, object] = {}  # when each task that has ended was booked: all that is kept of it
+        self._ended: dict[str, object] = {}  # the booking time of each task that has ended: all that is kept of it
 
     def declares(self) -> Iterable[str]:
         """Name what a complete recording has: a state once reached is seen in the next one, or its end is."""
@@ -97,15 +97,15 @@ class Rmf:
 
     def read(self, inputs: Iterable[Input]) -> Iterator[Record]:
         """Yield every message. Raises: UsageError if there is none among the first `SEARCHED` records."""
-        given = list(inputs)
-        records = (one if isinstance(one, Record) else record_of(*one) for one in objects(given))
+        files = list(inputs)
+        records = (item if isinstance(item, Record) else record_of(*item) for item in objects(files))
         first: list[Record] = []
         for record in records:
             first.append(record)
             if record.data is not None or len(first) == SEARCHED:
                 break
         if first and first[-1].data is None:
-            names, begins = ", ".join(value(one.name) for one in given), first[0].raw[:80].decode("utf-8", "replace")
+            names, begins = ", ".join(value(item.name) for item in files), first[0].raw[:80].decode("utf-8", "replace")
             raise UsageError(
                 f"{names}: found {counted(len(first), 'record')}, the first of them {value(begins)}, and none is a "
                 'message of rmf_api_msgs; expected one message a line, such as {"type": "task_state_update", "data": '
@@ -138,7 +138,7 @@ class Rmf:
         return events
 
     def _logged(self, log: Mapping[str, Any]) -> None:
-        """Remember the last error of the log of a task: it is why it fails, if it fails."""
+        """Keep the last error of the log of a task: it is the cause if the task fails."""
         name = text(log, "task_id")
         errors = [str(entry.get("text")) for _, entry in entries(log) if entry.get("tier") == "error"]
         if errors and name not in self._ended:
@@ -146,7 +146,7 @@ class Rmf:
 
 
 def _changed(task: Task, name: str, state: Mapping[str, Any]) -> Iterator[Event]:
-    """Yield what a task state says that the ones before it did not."""
+    """Yield the events of what has changed in a task state."""
     dispatch, robot, category = table(state, "dispatch"), assigned_robot(state), text(state, "category") or "task"
     status = text(state, "status") or NOT_DISPATCHED.get(text(dispatch, "status"), "")
     subject = Subject(escaped(name), escaped(name))
@@ -170,7 +170,7 @@ def _changed(task: Task, name: str, state: Mapping[str, Any]) -> Iterator[Event]
 
 
 def _asked(task: Task, subject: Subject[str, str], dispatch: Mapping[str, Any], category: str) -> Iterator[Event]:
-    """Yield that the dispatcher gives the task to a fleet, and to the robot that it expects, if it names one."""
+    """Yield the dispatcher's request to a fleet, and to the robot that it expects, if it names one."""
     assignment = table(dispatch, "assignment")
     fleet, expected = text(assignment, "fleet_name"), text(assignment, "expected_robot_name")
     if dispatch.get("status") not in ("selected", "dispatched") or not fleet:
@@ -188,7 +188,7 @@ def _asked(task: Task, subject: Subject[str, str], dispatch: Mapping[str, Any], 
 
 
 def _interrupted(task: Task, subject: Subject[str, str], state: Mapping[str, Any]) -> Iterator[Event]:
-    """Yield that the robot was stopped by a request, and goes on after the last one; a state keeps those before it."""
+    """Yield the pause of the robot by a request, and its resumption after the last one; a state keeps all of them."""
     interruptions = tables(table(state, "interruptions")).values()
     if task.robot is None:
         return
@@ -196,13 +196,13 @@ def _interrupted(task: Task, subject: Subject[str, str], state: Mapping[str, Any
         task.is_paused = True
         yield ExecutionPaused(subject, task.robot)
     task.interruptions = max(task.interruptions, len(interruptions))
-    if task.is_paused and interruptions and all("resumed_by" in one for one in interruptions):
+    if task.is_paused and interruptions and all("resumed_by" in interruption for interruption in interruptions):
         task.is_paused = False
         yield ExecutionResumed(subject, task.robot)
 
 
 def _ended(task: Task, subject: Subject[str, str], status: str, state: Mapping[str, Any]) -> Iterator[Event]:
-    """Yield how the task has ended, and that its robot is free."""
+    """Yield the end of the task, and the release of its robot."""
     if status == "completed":
         if task.robot is not None:
             yield ExecutionFinished(subject, _by(task.robot), task.robot)
@@ -223,8 +223,8 @@ def _cause(task: Task, state: Mapping[str, Any]) -> str:
     for phase in tables(table(state, "phases")).values():
         for event in tables(table(phase, "events")).values():
             if event.get("status") in ("failed", "error"):
-                told = [shown(event[name]) for name in ("name", "detail") if event.get(name)]
-                return escaped(": ".join(told) or "failed")
+                details = [shown(event[name]) for name in ("name", "detail") if event.get(name)]
+                return escaped(": ".join(details) or "failed")
     return "failed"
 
 

@@ -1,7 +1,7 @@
-"""Messages of Open-RMF as records: their kinds, what they say, what they are about, and when.
+"""Messages of Open-RMF as records: their kinds, values, objects and times.
 
-The schemas are those of https://github.com/open-rmf/rmf_api_msgs, version 0.3. Every field is looked for and none is
-relied on: what a message lacks, or has of another kind, is not there.
+The schemas are those of https://github.com/open-rmf/rmf_api_msgs, version 0.3. No field is relied on: one that is
+missing, or of another kind, is treated as absent.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -32,31 +32,31 @@ OF_TASK = (
 )
 BEGUN = frozenset(("underway", "delayed", "blocked", "error", "completed"))
 TROUBLED = frozenset(("failed", "error", "blocked", "skipped", "canceled", "killed"))
-"""The statuses of an event within a phase that are told beside the status of the task."""
+"""The statuses of an event within a phase that are recorded beside the status of the task."""
 LAST_MS = int(datetime.fromisoformat("9999-12-31T00:00:00+00:00").timestamp() * 1000)
 
 
 def record_of(raw: bytes, line: dict[str, Any]) -> Record:
-    """Return a message as a record; its data are its kind and content, or None if it is none of RMF."""
+    """Return a message as a record; its data are its kind and content, or None if it is not a message of RMF."""
     kind, data = _message(line)
     arrival_us = utc_us(line.get("received"))
     if kind == UNKNOWN:
-        values = {name: shown(one) for name, one in line.items()}
+        values = {name: shown(item) for name, item in line.items()}
         return Record(text(line, "type") or UNKNOWN, raw, None, values, {}, None, arrival_us)
     about: dict[str, str] = {}
     match kind:
         case "task_state":
             values, kind_of = _state_values(data, about), f"task_state/{text(data, 'status') or UNKNOWN}"
         case "task_log":
-            told = list(entries(data))
-            values = {at: f"{one.get('tier')}: {one.get('text')}" for at, one in told}
-            worst = max((_tier(one) for _, one in told), default=0)
+            log_entries = list(entries(data))
+            values = {location: f"{item.get('tier')}: {item.get('text')}" for location, item in log_entries}
+            worst = max((_tier(item) for _, item in log_entries), default=0)
             kind_of = f"task_log/{TIERS[worst]}"
             _add(about, f"task/{data['task_id']}", "task")
         case "fleet_state":
             values, kind_of = _fleet_values(data, about), kind
         case "fleet_log":
-            values, kind_of = {name: shown(one) for name, one in data.items()}, kind
+            values, kind_of = {name: shown(item) for name, item in data.items()}, kind
             _add(about, f"fleet/{data['name']}", "fleet")
         case _:
             values = _request_values(data, about)
@@ -66,11 +66,11 @@ def record_of(raw: bytes, line: dict[str, Any]) -> Record:
 
 def _message(line: dict[str, Any]) -> tuple[str, dict[str, Any]]:
     """Return the kind of a message by its type or its fields, and its content."""
-    named = text(line, "type")
-    if named in REQUESTS:
-        return named, line
-    if named.endswith("_update"):
-        kind, data = named.removesuffix("_update"), table(line, "data")
+    type_name = text(line, "type")
+    if type_name in REQUESTS:
+        return type_name, line
+    if type_name.endswith("_update"):
+        kind, data = type_name.removesuffix("_update"), table(line, "data")
         return (kind, data) if _is_of(kind, data) else (UNKNOWN, line)
     if isinstance(line.get("success"), bool):
         return RESPONSE, line
@@ -78,7 +78,7 @@ def _message(line: dict[str, Any]) -> tuple[str, dict[str, Any]]:
 
 
 def _is_of(kind: str, data: Mapping[str, Any]) -> bool:
-    """Return whether the data are a message of this kind: they say what they are about, as its schema demands."""
+    """Return whether the data are a message of this kind: they name what they are about, as its schema demands."""
     match kind:
         case "task_state":
             return bool(task_id(data))
@@ -92,7 +92,7 @@ def _is_of(kind: str, data: Mapping[str, Any]) -> bool:
 
 
 def _state_values(state: Mapping[str, Any], about: dict[str, str]) -> dict[str, str]:
-    """Return what a task state says of the task and its booking, and of what went wrong in its phases."""
+    """Return the values of a task state: of the task, its booking, and what went wrong in its phases."""
     booking = table(state, "booking")
     _add(about, f"task/{booking['id']}", "task")
     if (robot := assigned_robot(state)) is not None:
@@ -105,17 +105,17 @@ def _state_values(state: Mapping[str, Any], about: dict[str, str]) -> dict[str, 
     _label(about, booking, "booking label")
     _label(about, table(state, "cancellation"), "cancellation label")
     _label(about, table(state, "killed"), "kill label")
-    values = {f"booking/{name}": shown(one) for name, one in booking.items()}
-    values |= {name: shown(one) for name in OF_TASK if (one := state.get(name)) or one == 0}
-    for one in tables(table(state, "interruptions")).values():
-        _label(about, one, "interruption label")
-        _label(about, table(one, "resumed_by"), "resume label")
+    values = {f"booking/{name}": shown(item) for name, item in booking.items()}
+    values |= {name: shown(item) for name in OF_TASK if (item := state.get(name)) or item == 0}
+    for item in tables(table(state, "interruptions")).values():
+        _label(about, item, "interruption label")
+        _label(about, table(item, "resumed_by"), "resume label")
     for number, phase in tables(table(state, "phases")).items():
         if phase.get("skip_requests"):
             values[f"phase/{number}/skip_requests"] = shown(phase["skip_requests"])
-        for at, event in tables(table(phase, "events")).items():
+        for event_id, event in tables(table(phase, "events")).items():
             if text(event, "status") in TROUBLED:
-                values[f"phase/{number}/event/{at}"] = shown(event)
+                values[f"phase/{number}/event/{event_id}"] = shown(event)
     return values
 
 
@@ -133,7 +133,7 @@ def _fleet_values(fleet: Mapping[str, Any], about: dict[str, str]) -> dict[str, 
 
 
 def _request_values(message: Mapping[str, Any], about: dict[str, str]) -> dict[str, str]:
-    """Return what a request or a response says, and who made it as far as it tells."""
+    """Return the values of a request or a response, and add its objects, such as the requester, if it names one."""
     request = table(message, "request")
     for task in (text(message, "task_id"), text(message, "for_task"), task_id(table(message, "state"))):
         if task:
@@ -145,42 +145,42 @@ def _request_values(message: Mapping[str, Any], about: dict[str, str]) -> dict[s
     fleet, robot = text(message, "fleet"), text(message, "robot")
     if robot:
         _add(about, f"robot/{fleet}.{robot}" if fleet else f"robot/{robot}", "asked robot")
-    values = {name: shown(one) for name, one in message.items() if name not in ("request", "type", "state")}
-    values |= {f"request/{name}": shown(one) for name, one in request.items()}
+    values = {name: shown(item) for name, item in message.items() if name not in ("request", "type", "state")}
+    values |= {f"request/{name}": shown(item) for name, item in request.items()}
     state = table(message, "state")
     return values | (
-        {f"state/{name}": one for name, one in _state_values(state, about).items()} if task_id(state) else {}
+        {f"state/{name}": item for name, item in _state_values(state, about).items()} if task_id(state) else {}
     )
 
 
 def _time_us(kind: str, data: Mapping[str, Any]) -> int | None:
-    """Return the latest time that a message gives of what has happened, which is its own where it has none.
+    """Return the latest time in a message at which something happened; it is used as the time of the message.
 
     The start and the finish of a task are plans until it has begun and ended.
     """
-    found: list[object] = []
+    candidates: list[object] = []
     match kind:
         case "task_state":
             status = text(data, "status")
             parts = [data.get(name) for name in ("booking", "cancellation", "killed")]
             parts += table(data, "interruptions").values()
-            found = [one.get("unix_millis_request_time") for one in parts if isinstance(one, dict)]
-            found += [data.get("unix_millis_start_time")] if status in BEGUN else []
-            found += [data.get("unix_millis_finish_time")] if status == "completed" else []
+            candidates = [item.get("unix_millis_request_time") for item in parts if isinstance(item, dict)]
+            candidates += [data.get("unix_millis_start_time")] if status in BEGUN else []
+            candidates += [data.get("unix_millis_finish_time")] if status == "completed" else []
         case "task_log":
-            found = [entry.get("unix_millis_time") for _, entry in entries(data)]
+            candidates = [entry.get("unix_millis_time") for _, entry in entries(data)]
         case "fleet_state":
-            found = [one.get("unix_millis_time") for one in tables(table(data, "robots")).values()]
+            candidates = [item.get("unix_millis_time") for item in tables(table(data, "robots")).values()]
         case "response":
             return _time_us("task_state", table(data, "state")) if data.get("state") else None
         case _:
-            found = [table(data, "request").get("unix_millis_request_time")]
-    times = [one for one in found if type(one) is int and 0 < one < LAST_MS]
+            candidates = [table(data, "request").get("unix_millis_request_time")]
+    times = [item for item in candidates if type(item) is int and 0 < item < LAST_MS]
     return max(times) * 1000 if times else None
 
 
 def entries(log: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield each entry of the log of a task and where it stands: of the task, of a phase, of an event of a phase."""
+    """Yield each entry of the log of a task with its location: the task, a phase, or an event of a phase."""
     yield from _listed("log", log.get("log"))
     for number, phase in tables(table(log, "phases")).items():
         yield from _listed(f"phase/{number}/log", phase.get("log"))
@@ -188,11 +188,11 @@ def entries(log: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
             yield from _listed(f"phase/{number}/event/{event}", entries)
 
 
-def _listed(where: str, entries: object) -> Iterator[tuple[str, dict[str, Any]]]:
+def _listed(location: str, entries: object) -> Iterator[tuple[str, dict[str, Any]]]:
     listed: Sequence[object] = entries if isinstance(entries, list) else ()
-    for at, entry in enumerate(listed):
+    for index, entry in enumerate(listed):
         if isinstance(entry, dict):
-            yield f"{where}/{at}", entry
+            yield f"{location}/{index}", entry
 
 
 def _tier(entry: Mapping[str, Any]) -> int:
@@ -208,18 +208,18 @@ def assigned_robot(state: Mapping[str, Any]) -> Robot | None:
 
 
 def task_id(state: Mapping[str, Any]) -> str:
-    """Return the name of the task of a state, empty where there is none."""
+    """Return the name of the task of a state, empty if there is none."""
     return text(table(state, "booking"), "id")
 
 
 def _label(about: dict[str, str], data: Mapping[str, Any], part: str) -> None:
-    """Name each label as an object: labels tell who asked, in the words of whatever program sent the request."""
+    """Add each label as an object: labels name the requester, in the words of the program that sent the request."""
     for label in texts(data, "labels") if data else ():
         _add(about, label, part)
 
 
 def _add(about: dict[str, str], name: str, part: str) -> None:
-    """Name an object with its part; one that plays several parts has all of them."""
+    """Add an object with its part; one with several parts gets all of them."""
     parts = about.get(name)
     if parts is None:
         about[name] = part
@@ -228,23 +228,23 @@ def _add(about: dict[str, str], name: str, part: str) -> None:
 
 
 def table(data: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return the object of this name, empty where there is none."""
-    found = data.get(name)
-    return found if isinstance(found, dict) else {}
+    """Return the object of this name, empty if there is none."""
+    item = data.get(name)
+    return item if isinstance(item, dict) else {}
 
 
 def tables(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return those that are objects, by name."""
-    return {name: one for name, one in data.items() if isinstance(one, dict)}
+    """Return the values that are objects, by name."""
+    return {name: item for name, item in data.items() if isinstance(item, dict)}
 
 
 def text(data: Mapping[str, Any], name: str) -> str:
-    """Return the text of this name, empty where there is none."""
-    found = data.get(name)
-    return found if isinstance(found, str) else ""
+    """Return the text of this name, empty if there is none."""
+    item = data.get(name)
+    return item if isinstance(item, str) else ""
 
 
 def texts(data: Mapping[str, Any], name: str) -> list[str]:
-    """Return the texts in the list of this name, but for empty ones."""
-    found = data.get(name)
-    return [one for one in found if isinstance(one, str) and one] if isinstance(found, list) else []
+    """Return the nonempty texts in the list of this name."""
+    listed = data.get(name)
+    return [item for item in listed if isinstance(item, str) and item] if isinstance(listed, list) else []

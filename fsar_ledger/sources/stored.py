@@ -1,4 +1,4 @@
-"""What the ledger holds of a run from outside: how far it is, and how far an import came, read from the run alone."""
+"""The state of a run from outside in the ledger: how far it is, and how far an import came, from the run alone."""
 
 from collections.abc import Iterator, Sequence
 from hashlib import sha256
@@ -22,13 +22,13 @@ from .columns import Declared
 NewEvent = tuple[int, int | None, Event]
 """The run time of an event, the seq of its cause, and the event."""
 BYTES = "bytes"
-"""Under this name an unreadable record says its length: a line that was not whole yet is known by it again."""
+"""The name of an unreadable record's length, by which a line that was not whole yet is recognised."""
 
 
 class StoredRun(msgspec.Struct, frozen=True):
     """A run as the ledger holds it: its beginning, how many events it has, and the time of the last.
 
-    `robots` are the roles of those that joined before the first source was `opened`, `supervisors` who supervises them.
+    `robots` are the roles of those that joined before the first source was `opened`, `supervisors` their supervisors.
     """
 
     started: RunStarted
@@ -42,7 +42,7 @@ class StoredRun(msgspec.Struct, frozen=True):
 def stored_run(path: Path, run: str) -> StoredRun | None:
     """Return the run as the ledger holds it, None if it does not.
 
-    Raises: LedgerCorrupted; UsageError if another run has this name than one that a recorder or an import began.
+    Raises: LedgerCorrupted; UsageError if the run of this name was not begun by a recorder or an import.
     """
     view = open_ledger(path)
     if not view.has_run(run):
@@ -53,20 +53,20 @@ def stored_run(path: Path, run: str) -> StoredRun | None:
         raise UsageError(
             f"run {value(run)}: found a run that was not recorded from outside, expected a new name or one that was"
         )
-    own = {name: row[name] for name in ("type", *RunStarted.__struct_fields__) if name in row}
-    started = msgspec.convert(own, RunStarted)
+    fields = {name: row[name] for name in ("type", *RunStarted.__struct_fields__) if name in row}
+    started = msgspec.convert(fields, RunStarted)
     robots, supervisors, opened = dict[str, str](), dict[str, str | None](), None
-    for one, line in _rows(view, run):
-        if one.type == "RobotJoined.v1":
-            robots[f"{one.robot}"], supervisors[f"{one.robot}"] = f"{one.role}", one.supervisor
-        elif one.seq:
-            opened = msgspec.json.decode(line, type=Opening) if one.type == "SourceOpened.v1" else None
+    for event, line in _rows(view, run):
+        if event.type == "RobotJoined.v1":
+            robots[f"{event.robot}"], supervisors[f"{event.robot}"] = f"{event.role}", event.supervisor
+        elif event.seq:
+            opened = msgspec.json.decode(line, type=Opening) if event.type == "SourceOpened.v1" else None
             break
     return StoredRun(started, event_count(parts), parts[-1].block.last_us, robots, supervisors, opened)
 
 
 class _Row(msgspec.Struct):
-    """What is read of each event."""
+    """The fields that are read of each event."""
 
     run_id: str
     type: str
@@ -104,8 +104,8 @@ class LastRecord(msgspec.Struct, frozen=True):
 class EarlierImport(msgspec.Struct, frozen=True):
     """A run that was imported before: its events, its records, and how its source was opened.
 
-    `first` is the number of the first event that a record led to; `beside` are the later ones that none did, as where
-    the import was continued. `last_seq` is the number of the event that holds the last record.
+    `first` is the number of the first event of a record; `beside` are the later events of no record, as where the
+    import was continued. `last_seq` is the number of the event that holds the last record.
     """
 
     size: int
@@ -123,7 +123,7 @@ class EarlierImport(msgspec.Struct, frozen=True):
 
 
 def earlier_import(path: Path, run: str) -> EarlierImport | None:
-    """Return what the ledger holds of the run, None if there is none of that name.
+    """Return the earlier import of the run, None if there is no run of that name.
 
     Raises: As `stored_run`.
     """
@@ -163,7 +163,7 @@ def earlier_import(path: Path, run: str) -> EarlierImport | None:
 
 
 def record_hashes(path: Path, run: str) -> Iterator[str]:
-    """Yield the SHA-256 of each record of the run that is on file, in order; of one that was cut at first, the whole.
+    """Yield the SHA-256 of each record of the run that is on file, in order; of one that was cut at first, when whole.
 
     Raises: LedgerCorrupted.
     """
@@ -187,9 +187,9 @@ def _rows(view: View, run: str) -> Iterator[tuple[_Row, bytes]]:
 
 
 def commit(writer: Writer, path: Path, run: str, rows: Sequence[NewEvent], first: int) -> None:
-    """Commit these events of a run, of which the first has this seq, whole and durably.
+    """Commit these events of a run, the first of which has this seq, whole and durably.
 
-    Raises: UsageError if the run has other events than those before it, since somebody else adds to it; as `Writer`.
+    Raises: UsageError if the run does not end where they begin, since another process adds to it; as `Writer`.
     """
     times, causes, events = (list(column) for column in zip(*rows, strict=True))
     try:

@@ -1,7 +1,7 @@
 """VDA 5050 2.1 and 3.0: orders, states, instant actions and connections, as a broker recorded them.
 
 One message a line: the message itself, or an object with `topic`, `payload` and perhaps `received` (ISO 8601), the time
-at which the recorder got it. A state is told from time to time, so what follows from it is what has changed since the
+at which the recorder got it. A state is sent from time to time, so what follows from it is what has changed since the
 last one of the same vehicle; an action that began and ended between two states has no start on record.
 
 | message | becomes |
@@ -12,7 +12,7 @@ last one of the same vehicle; an action that began and ended between two states 
 | an action that runs, pauses, runs on, ends | `ExecutionStarted`, `Paused`, `Resumed`, `Finished` |
 | one that fails: for good, or until it is tried again | `ExecutionFailed`, and `Withdrawn` if it is for good |
 | one that had begun and fails as its order is cancelled | `ExecutionWithdrawn`: it was called off |
-| one that had begun and is listed no more, as after a restart | `ExecutionWithdrawn`: how it ended was not seen |
+| one that had begun and is no longer listed, as after a restart | `ExecutionWithdrawn`: how it ended was not seen |
 | an order whose nodes, edges and actions are all done | `TaskCompleted` |
 | an order that was cancelled, or of which an action failed before it was over | `TaskAbandoned` |
 | a connection that breaks, comes back | `LinkWentDown`, `LinkCameUp` |
@@ -58,12 +58,12 @@ KINDS: Mapping[str, tuple[str, ...]] = {
     "zoneSet": ("zoneSet",),
     "visualization": ("agvPosition",),
 }
-"""The fields by which a message without a topic is known. Visualization comes last: a state has its fields, too."""
+"""The fields that identify a message without a topic. Visualization comes last: a state has its fields, too."""
 
 BROKEN = ("CONNECTIONBROKEN", "CONNECTION_BROKEN")
-"""As 2.1 and 3.0 spell it."""
+"""The spellings of 2.1 and 3.0."""
 OF_ORDER, BESIDE = "actionStates", ("instantActionStates", "zoneActionStates")
-"""The lists of what has become of actions: of an order (before 3.0 also of instant actions), and of others."""
+"""The lists of action states: of an order (before 3.0 also of instant actions), and of others."""
 CANCEL = "cancelOrder"
 """The type of the instant action that ends an order before it is done."""
 OVER = frozenset(("FINISHED", "FAILED"))
@@ -72,12 +72,12 @@ SHOWN = ("orderId", "orderUpdateId", "lastNodeId", "operatingMode", "connectionS
 
 
 class Vehicle(msgspec.Struct):
-    """What the messages of a vehicle said so far. `ended` are orders whose end has been told, `order` is the last one.
+    """The state of a vehicle by its messages. `ended` are orders whose end is recorded, `order` is the last one.
 
     `newest` is the number and time of the newest message by kind; `is_down` that its connection broke; `parts` the
     actions that orders have, `instant` the types of instant ones, `cancels` the order that each cancelOrder ends;
-    `orders` under which order an action was told of last; `listed` in which list the newest state has it; `unseen` the
-    order of each that the vehicle has no more, and that was not over.
+    `orders` the order under which an action was last reported; `listed` the list in which the newest state has it;
+    `unseen` the order of each that the vehicle no longer has, and that was not over.
     """
 
     newest: dict[str, tuple[int, int]] = {}
@@ -131,11 +131,11 @@ class Vda5050:
         )
 
     def read(self, inputs: Iterable[Input]) -> Iterator[Record]:
-        """Yield every message. Raises: UsageError if the first ones are none."""
+        """Yield every message. Raises: UsageError if none of the first is one."""
         files = list(inputs)
-        found = (one if isinstance(one, Record) else self._record(*one) for one in objects(files))
-        unlike = (UNREADABLE, "unknown")
-        return known(found, files, lambda one: one.kind not in unlike, "messages of VDA 5050, one a line")
+        records = (item if isinstance(item, Record) else self._record(*item) for item in objects(files))
+        unknown = (UNREADABLE, "unknown")
+        return known(records, files, lambda item: item.kind not in unknown, "messages of VDA 5050, one a line")
 
     def _record(self, raw: bytes, line: dict[str, Any]) -> Record:
         message = line["payload"] if isinstance(line.get("payload"), dict) else line
@@ -169,7 +169,7 @@ class Vda5050:
         if robot is None or kind == "unknown":
             return None
         vehicle = self._vehicles.setdefault(robot, Vehicle())
-        # The broker tells of a broken connection what the vehicle has left with it before it said that it is online.
+        # The broker reports a broken connection by a message that the vehicle left before it reported to be online.
         is_of_broker = kind == "connection" and message.get("connectionState") in BROKEN
         if kind in ("state", "connection") and not is_of_broker and _is_late(vehicle, kind, record, message):
             return ()
@@ -183,8 +183,8 @@ class Vda5050:
             case "connection":
                 events = _connected(vehicle, robot, message)
             case "instantActions":
-                for one in (*_listed(message, "actions"), *_listed(message, "instantActions")):  # the second of 2.0
-                    vehicle.instant[str(one.get("actionId"))] = str(one.get("actionType"))
+                for action in (*_listed(message, "actions"), *_listed(message, "instantActions")):  # the second of 2.0
+                    vehicle.instant[str(action.get("actionId"))] = str(action.get("actionType"))
                 return ()
             case "visualization" | "factsheet" | "responses" | "zoneSet":
                 return ()
@@ -194,16 +194,16 @@ class Vda5050:
 
 
 def _is_late(vehicle: Vehicle, kind: str, record: Record, message: Mapping[str, Any]) -> bool:
-    """Return whether a message of that kind came before that was sent later, or this one: it says nothing new.
+    """Return whether this message of that kind, or one that was sent later, came before: it reports nothing new.
 
-    A clock that was set back does not make a message late, since its number goes on; nor does a number that begins
-    anew, since its time goes on.
+    A clock that was set back does not make a message late, since its number goes on; nor does a number that restarts,
+    since its time goes on.
     """
     number, sent_us = message.get("headerId"), record.source_us
     if type(number) is not int or sent_us is None:
         return False
-    before = vehicle.newest.get(kind)
-    if before is not None and number <= before[0] and sent_us <= before[1]:
+    newest = vehicle.newest.get(kind)
+    if newest is not None and number <= newest[0] and sent_us <= newest[1]:
         return True
     vehicle.newest[kind] = (number, sent_us)
     return False
@@ -226,21 +226,21 @@ def _robot(topic: object, message: Mapping[str, Any]) -> Robot | None:
 
 
 def _listed(message: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
-    found = message.get(name)
-    return [one for one in found if isinstance(one, dict)] if found and isinstance(found, list) else []
+    items = message.get(name)
+    return [item for item in items if isinstance(item, dict)] if items and isinstance(items, list) else []
 
 
 def _is_named(message: Mapping[str, Any]) -> bool:
     """Return whether a state names each action, its status, and the type of each error, as the standard requires."""
-    actions = [one for name in (OF_ORDER, *BESIDE) for one in _listed(message, name)]
-    named = [one.get(name) for one in actions for name in ("actionId", "actionStatus")]
+    actions = [action for name in (OF_ORDER, *BESIDE) for action in _listed(message, name)]
+    named = [action.get(name) for action in actions for name in ("actionId", "actionStatus")]
     named += [error.get("errorType") for error in _listed(message, "errors")]
     return all(isinstance(name, str) and name for name in named)
 
 
 def _order(message: Mapping[str, Any]) -> str:
-    found = message.get("orderId")
-    return found if isinstance(found, str) else ""
+    order = message.get("orderId")
+    return order if isinstance(order, str) else ""
 
 
 def _subject(order: str) -> RequestSubject[str, str, str | None]:
@@ -248,12 +248,12 @@ def _subject(order: str) -> RequestSubject[str, str, str | None]:
 
 
 def _principals(robot: Robot, decided_by: Any) -> Principals:
-    asked = Parties(requested_by=COORDINATOR, executed_by=robot, supervised_by=None)
-    return asked.decided(decided_by)
+    parties = Parties(requested_by=COORDINATOR, executed_by=robot, supervised_by=None)
+    return parties.decided(decided_by)
 
 
 def _ordered(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iterator[Event]:
-    """Yield that a task arrives and its vehicle is asked; an update of an order that is known says nothing new."""
+    """Yield the arrival of a task and the request to its vehicle; an update of a known order adds nothing."""
     order = _order(message)
     for part in (*_listed(message, "nodes"), *_listed(message, "edges")):
         vehicle.parts |= {str(action.get("actionId")): None for action in _listed(part, "actions")}
@@ -265,7 +265,7 @@ def _ordered(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iter
 
 
 def _changed(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iterator[Event]:
-    """Yield what a state says that the one before it did not."""
+    """Yield the events of what has changed since the previous state."""
     order = _order(message)
     if order and order not in vehicle.accepted:
         vehicle.accepted[order] = None
@@ -273,39 +273,41 @@ def _changed(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iter
     if message.get("errors"):
         yield from _refused(vehicle, robot, message)
     states = _listed(message, OF_ORDER)
-    listed = (*states, *(one for name in BESIDE for one in _listed(message, name)))
-    is_there = message.get("nodeStates") == [] and message.get("edgeStates") == []
-    cancels = [one for one in listed if _type(vehicle, one) == CANCEL]
+    listed = (*states, *(state for name in BESIDE for state in _listed(message, name)))
+    has_arrived = message.get("nodeStates") == [] and message.get("edgeStates") == []
+    cancels = [state for state in listed if _type(vehicle, state) == CANCEL]
     for state in cancels:
-        is_of_last = not is_there and state.get("actionStatus") in OVER
+        is_of_last = not has_arrived and state.get("actionStatus") in OVER
         vehicle.cancels.setdefault(str(state.get("actionId")), vehicle.order if is_of_last else order)
     vehicle.order = order or vehicle.order
     yield from _vanished(vehicle, robot, order, message)
-    given_up = {vehicle.cancels[str(one.get("actionId"))] for one in cancels if one.get("actionStatus") != "FAILED"}
+    given_up = {
+        vehicle.cancels[str(state.get("actionId"))] for state in cancels if state.get("actionStatus") != "FAILED"
+    }
     for state in listed:
         if vehicle.statuses.get(str(state.get("actionId"))) != state.get("actionStatus"):
             yield from _acted(vehicle, robot, order, state, order in given_up)
     yield from _cancelled(vehicle, cancels)
     is_cancelling = any(state.get("actionStatus") not in OVER for state in cancels)
-    if is_there and not is_cancelling and order in vehicle.asked and order not in vehicle.ended:
+    if has_arrived and not is_cancelling and order in vehicle.asked and order not in vehicle.ended:
         yield from _over(vehicle, order, states)
 
 
 def _vanished(vehicle: Vehicle, robot: Robot, order: str, message: Mapping[str, Any]) -> Iterator[Event]:
-    """Yield that actions are the vehicle's no more that were not over: their list lacks them, or is another order's."""
+    """Yield the withdrawal of unfinished actions: their list no longer has them, or is another order's."""
     lists = {name: _listed(message, name) for name in (OF_ORDER, *BESIDE) if isinstance(message.get(name), list)}
-    listed = {str(one["actionId"]): name for name, states in lists.items() for one in states}
+    listed = {str(state["actionId"]): name for name, states in lists.items() for state in states}
     for action, name in [*vehicle.listed.items()]:
-        of, is_of_order = vehicle.orders[action], action in vehicle.parts
-        if name not in lists or (action in listed and not (is_of_order and order and of != order)):
+        action_order, is_of_order = vehicle.orders[action], action in vehicle.parts
+        if name not in lists or (action in listed and not (is_of_order and order and action_order != order)):
             continue
         del vehicle.listed[action]
         if vehicle.statuses[action] in OVER:
             continue
         if is_of_order:
-            vehicle.unseen[action] = of
+            vehicle.unseen[action] = action_order
         if vehicle.statuses.pop(action) in ("RUNNING", "PAUSED", "RETRIABLE"):
-            yield ExecutionWithdrawn(Subject(of, action), robot)
+            yield ExecutionWithdrawn(Subject(action_order, action), robot)
     vehicle.listed |= listed
     for action in listed:
         if vehicle.unseen.get(action) == order:
@@ -318,7 +320,7 @@ def _type(vehicle: Vehicle, state: Mapping[str, Any]) -> object:
 
 
 def _cancelled(vehicle: Vehicle, cancels: Sequence[Mapping[str, Any]]) -> Iterator[Event]:
-    """Yield that orders are given up: a cancelOrder that is finished, not one that failed, has ended them."""
+    """Yield the end of the orders that a finished cancelOrder, not a failed one, has ended."""
     for state in cancels:
         order = vehicle.cancels[str(state.get("actionId"))]
         if state.get("actionStatus") == "FINISHED" and order in vehicle.asked and order not in vehicle.ended:
@@ -327,19 +329,19 @@ def _cancelled(vehicle: Vehicle, cancels: Sequence[Mapping[str, Any]]) -> Iterat
 
 
 def _over(vehicle: Vehicle, order: str, states: Sequence[Mapping[str, Any]]) -> Iterator[Event]:
-    """Yield how an order has ended whose nodes and edges are behind the vehicle, unless an action is under way."""
-    own = {str(state.get("actionId")): state.get("actionStatus") for state in states}
-    own = {action: status for action, status in own.items() if action not in vehicle.instant}
-    failed = [action for action, status in own.items() if status == "FAILED"]
-    # An action that no order has may be an instant one, of which the record has only the state.
-    is_seen = OVER.issuperset(own.values()) and order not in vehicle.unseen.values()
+    """Yield the end of an order whose nodes and edges are behind the vehicle, unless an action is under way."""
+    statuses = {str(state.get("actionId")): state.get("actionStatus") for state in states}
+    statuses = {action: status for action, status in statuses.items() if action not in vehicle.instant}
+    failed = [action for action, status in statuses.items() if status == "FAILED"]
+    # An action of no order may be an instant one, of which only the state was recorded.
+    is_seen = OVER.issuperset(statuses.values()) and order not in vehicle.unseen.values()
     if is_seen and all(action in vehicle.parts for action in failed):
         vehicle.ended[order] = None
         yield TaskAbandoned(order) if failed else TaskCompleted(order)
 
 
 def _refused(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iterator[Event]:
-    """Yield that the vehicle refuses an order that it was asked and has not accepted: an error refers to it."""
+    """Yield the vehicle's refusal of an order that it has not accepted: an error refers to it."""
     for error in _listed(message, "errors"):
         for reference in _listed(error, "errorReferences"):
             order = reference.get("referenceValue")
@@ -351,33 +353,33 @@ def _refused(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iter
 
 
 def _acted(vehicle: Vehicle, robot: Robot, order: str, state: Mapping[str, Any], is_cancelled: bool) -> Iterator[Event]:
-    """Yield what has become of one action since the last state. What a cancelled order still had has not failed."""
+    """Yield the events of one action since the last state. The rest of a cancelled order has not failed."""
     action, status = str(state.get("actionId")), str(state.get("actionStatus"))
-    before = vehicle.statuses.get(action)
-    if before in OVER and status not in OVER and vehicle.orders.get(action) != order:
-        before = None  # another order has an action of the same name
+    previous = vehicle.statuses.get(action)
+    if previous in OVER and status not in OVER and vehicle.orders.get(action) != order:
+        previous = None  # another order has an action of the same name
     vehicle.orders[action] = order
-    if status == before or before == "FINISHED":
+    if status == previous or previous == "FINISHED":
         return
     vehicle.statuses[action] = status
     subject = Subject(order, action)
     parties = Parties(requested_by=None, executed_by=robot, supervised_by=None)
     if status == "RUNNING":
-        if before in ("PAUSED", "RETRIABLE"):
+        if previous in ("PAUSED", "RETRIABLE"):
             yield ExecutionResumed(subject, robot)
         else:
-            named = state.get("actionType")
-            capability = named if isinstance(named, str) and named else "action"
+            action_type = state.get("actionType")
+            capability = action_type if isinstance(action_type, str) and action_type else "action"
             yield ExecutionStarted(subject=subject, principals=parties, robot=robot, capability=capability)
     elif status == "PAUSED":
         yield ExecutionPaused(subject, robot)
     elif status == "FINISHED":
         yield ExecutionFinished(subject, parties, robot)
-    elif status == "FAILED" and is_cancelled and before != "RETRIABLE":
-        if before in ("RUNNING", "PAUSED"):
+    elif status == "FAILED" and is_cancelled and previous != "RETRIABLE":
+        if previous in ("RUNNING", "PAUSED"):
             yield ExecutionWithdrawn(subject, robot)
     elif status in ("FAILED", "RETRIABLE"):
-        if before != "RETRIABLE":
+        if previous != "RETRIABLE":
             vehicle.failures[action] = vehicle.failures.get(action, 0) + 1
             cause = str(state.get("actionResult") or state.get("resultDescription") or status)
             yield ExecutionFailed(subject=subject, robot=robot, failure=vehicle.failures[action], cause=cause)
