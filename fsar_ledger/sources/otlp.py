@@ -9,7 +9,7 @@ attributes name, else its parent's. Events follow from a span once the agent of 
 |---|---|
 | `invoke_agent` under a span of another agent | `RequestIssued`, `RequestClosed` by that agent |
 | the same, unless its kind is CLIENT: only the caller saw it | `RequestAccepted`; `ExecutionStarted` for that agent |
-| `invoke_agent` without a caller, or under a span of the same agent | `ExecutionStarted` |
+| `invoke_agent` of nobody, or under a span of the same agent | `ExecutionStarted` |
 | `execute_tool` | `ExecutionStarted` by the agent whose span it is, of the tool |
 | each of these executions, as it ended | `ExecutionFinished`; `ExecutionFailed`, `Withdrawn` with the status ERROR |
 | one with the status message ExecutionWithdrawn | `ExecutionWithdrawn`: how it would have ended is unknown |
