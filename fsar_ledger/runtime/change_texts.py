@@ -124,9 +124,8 @@ def _parsed(text: str) -> Changes:
         changes = result if isinstance(result, tuple) else (result,)
         if before:
             changes = (msgspec.structs.replace(changes[0], before=before),)
-        return tuple(
-            msgspec.convert(msgspec.to_builtins(change), AnyChange) for change in changes
-        )  # checks every field
+        # Converting checks every field.
+        return tuple(msgspec.convert(msgspec.to_builtins(change), AnyChange) for change in changes)
     except (ValueError, TypeError, msgspec.MsgspecError) as error:
         found_text = _told(error)
         raise UsageError(f"change {printable.value(text)}: {found_text}expected {FORMS[verb]}") from error
@@ -164,9 +163,9 @@ def _robot(text: str) -> Robot:
     return msgspec.convert(name, Robot)
 
 
-def _words(text: str, least: int, most: int) -> list[str]:
+def _words(text: str, minimum: int, maximum: int) -> list[str]:
     words = text.split()
-    if not least <= len(words) <= most:
+    if not minimum <= len(words) <= maximum:
         raise _Unfit(f"found {printable.counted(len(words), 'word')} after the verb")
     return words
 

@@ -1,4 +1,4 @@
-"""Changes: what a fork does otherwise than its base, as data, as text, and as tables of a TOML file.
+"""Changes: what a fork does differently from its base, as data, as text, and as tables of a TOML file.
 
 | text | what is otherwise |
 |---|---|
@@ -14,7 +14,7 @@
 | `architecture cfc`, `without shared-registry` | another architecture, or one without mechanisms, from the start |
 
 Facts and questions have the names of `changeable.py`; `*` in one stands for any text. `instead of`
-at the end of a text says what held before, which makes it whole: a fork has such texts in its event 0.
+at the end of a text states the previous value, which makes it whole: a fork has such texts in its event 0.
 """
 
 from decimal import Decimal
@@ -28,7 +28,7 @@ from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, RecoveryLeve
 
 
 class Change(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="change", tag=str.lower):
-    """What a fork does otherwise. Units: names that end in `_s` seconds of run time."""
+    """A difference of a fork from its base. Units: names that end in `_s` seconds of run time."""
 
 
 class Drop(Change, frozen=True):
@@ -41,7 +41,7 @@ class Drop(Change, frozen=True):
 
 
 class Move(Change, frozen=True):
-    """The facts of this name happen so much later (earlier if negative)."""
+    """The facts of this name happen later by `by_s` (earlier if negative)."""
 
     fact: str
     by_s: float
@@ -61,7 +61,7 @@ class Add(Change, frozen=True):
 
 
 class Answer(Change, frozen=True):
-    """The questions of this name are answered so. `answer` is a word or a length, as the question has them."""
+    """The questions of this name get this answer. `answer` is a word or a length, as the question has them."""
 
     question: str
     answer: str
@@ -86,7 +86,7 @@ class Rule(Change, frozen=True, kw_only=True):
 
 
 class Trust(Change, frozen=True, kw_only=True):
-    """The robot trusts the peer so far: for one capability, in one task, or (None) for all."""
+    """The robot trusts the peer to this scope: for one capability, in one task, or (None) for all."""
 
     robot: Robot
     peer: Robot
@@ -101,7 +101,7 @@ class Trust(Change, frozen=True, kw_only=True):
 
 
 class Budget(Change, frozen=True, kw_only=True):
-    """The robot's recovery has this budget at one level: a time, and a number of attempts."""
+    """The budget of the robot's recovery at one level: a time, and a number of attempts."""
 
     robot: Robot
     level: RecoveryLevel

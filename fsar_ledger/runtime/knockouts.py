@@ -212,10 +212,10 @@ class RetryAlone(ActionCommand):
     """Start the robot's own attempt after a failure that it has seen."""
 
 
-def _may_try(budgets: Budgets, fleet: Fleet, recovery: Recovery, tried: int, now_us: int) -> bool:
+def _may_try(budgets: Budgets, fleet: Fleet, recovery: Recovery, attempts: int, now_us: int) -> bool:
     """Return whether the robot may try again after this many attempts, by the number and the time of its budget."""
     allowed = budget(budgets, fleet, recovery.robot, "local")
-    return tried < allowed.n_max and now_us < recovery.detected_us + allowed.t_max_us
+    return attempts < allowed.n_max and now_us < recovery.detected_us + allowed.t_max_us
 
 
 def _retried(state: State, action: Action, recovery: Recovery) -> RecoveryAttempted:

@@ -159,7 +159,7 @@ STDIN = "-"
 def opened(logs: Sequence[str]) -> Iterator[list[Input]]:
     """Open these files; `-` is standard input.
 
-    Raises: UsageError for none, or one that cannot be read.
+    Raises: UsageError if there are none, or one cannot be read.
     """
     if not logs:
         raise UsageError("import: found no file, expected at least one, or - for standard input")
@@ -181,7 +181,7 @@ def opened(logs: Sequence[str]) -> Iterator[list[Input]]:
 def adapter_of(name: str | None, mapping: Path | None) -> tuple[Adapter, str | None]:
     """Return the adapter of this name, or that of a mapping, and the SHA-256 of the mapping.
 
-    Raises: UsageError unless there is one of both; or as `adapter_named`.
+    Raises: UsageError unless exactly one of both is given; or as `adapter_named`.
     """
     if (name is None) == (mapping is None):
         found = "neither" if name is None else "both"
@@ -279,16 +279,16 @@ def named_robots(path: Path) -> dict[str, str]:
         data = tomllib.loads(read(path).decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"{value(str(path))}: {error}; expected TOML with a table [robots]") from error
-    named = list(_flat(data["robots"])) if isinstance(data.get("robots"), dict) else None
-    if named is None or data.keys() != {"robots"} or not all(isinstance(role, str) for _, role in named):
+    entries = list(_flat(data["robots"])) if isinstance(data.get("robots"), dict) else None
+    if entries is None or data.keys() != {"robots"} or not all(isinstance(role, str) for _, role in entries):
         raise UsageError(
             f"{value(str(path))}: found {value(', '.join(data))}, expected only a table [robots] with a role for each "
             'name, as in `KIT.0001 = "agv"`'
         )
-    names = Counter(name.removeprefix("robot/") for name, _ in named)
+    names = Counter(name.removeprefix("robot/") for name, _ in entries)
     if twice := [name for name, count in names.items() if count > 1]:
         raise UsageError(f"{value(str(path))}: found robot {value(twice[0])} twice, expected each once")
-    return dict(named)
+    return dict(entries)
 
 
 def _flat(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

@@ -44,7 +44,7 @@ PRINCIPALS = frozenset(
         *("requested_by", "executed_by", "supervised_by", "on_behalf_of"),
     }
 )
-"""Columns that name who acts, each by kind and name (`robot/A1`, `supervisor/A1`), or the coordinator."""
+"""Columns that name principals, each by kind and name (`robot/A1`, `supervisor/A1`), or the coordinator."""
 IDENTITIES = PRINCIPALS | {"task_id", "action_id", "request_id"}
 """Columns whose names are never empty."""
 OUTCOMES = {"ExecutionFinished": "result", "RequestClosed": "result", "SupervisorResponded": "approves"}
@@ -125,7 +125,7 @@ def require_full_names(event: Event, robots: Collection[str]) -> None:
 
 
 def require_outcome(event: Event) -> None:
-    """Raises: UsageError for an event whose outcome contradicts what it is."""
+    """Raises: UsageError for an event whose outcome contradicts its type."""
     if isinstance(event, PolicyWindowOpened) and event.outcome == "allow":
         raise UsageError(
             "field outcome: found allow in PolicyWindowOpened, expected review or deny: a window restricts"

@@ -218,7 +218,7 @@ class _Import:
         self._commit()
 
     def _committing(self, log: Input) -> Input:
-        """Return the input, of which a stream commits what was read before it waits for more."""
+        """Return the input; a stream commits what was read before it waits for more."""
         return log if log.path is not None else log._replace(file=io.BufferedReader(_Stream(log.file, self._commit)))
 
     def _is_whole_now(self, record: Record) -> bool:

@@ -72,7 +72,7 @@ class Mcap:
     def look(self, inputs: Sequence[Input]) -> None:
         """Look for a readable status of a robot's action; without one, nothing is declared of what robots do.
 
-        A stream cannot be read twice: it may have one. Raises: UsageError for files without a record, or as `read`.
+        A stream, which cannot be read twice, may have one. Raises: UsageError for files without a record, or as `read`.
         """
         if any(log.path is None for log in inputs):
             return
@@ -88,7 +88,7 @@ class Mcap:
             log.file.seek(0)
 
     def declares(self) -> Iterable[str]:
-        """Name what the status topics of all actions record, which are neither requesters nor refusals."""
+        """Name what the status topics of all actions record, which excludes requesters and refusals."""
         if not self._has_statuses:
             return ()
         return (

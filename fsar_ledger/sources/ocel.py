@@ -103,7 +103,7 @@ class Ocel:
 
         Raises: UsageError for an input that is not such a log, or is damaged: where, and what was found.
         """
-        logs = self._logs if self._logs is not None else [opened_log(one) for one in inputs]
+        logs = self._logs if self._logs is not None else [opened_log(log) for log in inputs]
         for log in logs:
             for item in log.objects():
                 yield item if isinstance(item, Record) else _record(item, f"object/{item.kind}", item.id)

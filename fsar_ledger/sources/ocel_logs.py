@@ -83,8 +83,8 @@ class JsonLog:
             self._objects, self._events = (RAW_LIST.decode(top[part]) for part in ("objects", "events"))
             types = msgspec.json.decode(top.get("eventTypes", b"[]"), type=list[dict[str, Any]])
         except (KeyError, *BROKEN) as error:
-            found = ", ".join(sorted(top)[:9])
-            raise UsageError(f"{name}: found an object with {value(found)} ({error!s:.90}), {expected}") from error
+            keys = ", ".join(sorted(top)[:9])
+            raise UsageError(f"{name}: found an object with {value(keys)} ({error!s:.90}), {expected}") from error
         self._types = [entry["name"] for entry in types if isinstance(entry.get("name"), str)]
 
     def event_types(self) -> list[str]:

@@ -105,7 +105,7 @@ class Recorder:
             event: The event, or the name of its type, which is one that the run records.
             at: When it happened (UTC if it has no zone); None: now.
             caused_by: The number of the event that led to it; None: not known.
-            columns: With the name of a type: its columns, as in `docs/event-types.json`. Unknown ones are left out.
+            columns: With the name of a type: its columns, as in `docs/event-types.json`. Leave out what is not known.
 
         Raises:
             InvalidRun: A field has a value that it cannot have, or the type is not one that the run records. Nothing
@@ -254,9 +254,10 @@ class Recorder:
                 f"({_first(stored.robots)}), expected the same as now ({_first(robots)}); record RobotJoined of who "
                 "comes later, or give the run another name"
             )
-        before, now = {*kept.observes, *kept.records}, {*requested.observes, *requested.records}
+        recorded, wanted = {*kept.observes, *kept.records}, {*requested.observes, *requested.records}
         added = {"RobotJoined"} if stored.robots else set()  # by `_begin`
-        if not now <= before or (now and not before <= now | added):  # no declaration means what the run records
+        # No declaration means what the run records.
+        if not wanted <= recorded or (wanted and not recorded <= wanted | added):
             raise UsageError(
                 f"run {value(self.run)}: found a run that records {_shown(kept)}, expected {_shown(requested)}; "
                 "declare the same, or give the run another name"
@@ -277,13 +278,14 @@ class Recorder:
     def _require_same_supervisors(self, stored: StoredRun, fleet: Fleet) -> None:
         """Refuse a robot with another supervisor than at the beginning; an erased name counts as another."""
         for member in () if isinstance(fleet, Mapping) else fleet:
-            earlier, now = stored.supervisors[member.robot], member.supervisor
-            if earlier == (now if self._names is None or now is None else self._names.known(now)):
+            earlier, current = stored.supervisors[member.robot], member.supervisor
+            if earlier == (current if self._names is None or current is None else self._names.known(current)):
                 continue
             erased = "" if self._names is None else " with the line that the table of names had of them then"
             raise UsageError(
                 f"run {value(self.run)}: found {value(earlier or 'nobody')} as the supervisor of {value(member.robot)} "
-                f"when it began, expected the same as now ({value(now or 'nobody')}){erased}; give the run another name"
+                f"when it began, expected the same as now ({value(current or 'nobody')}){erased}; "
+                "give the run another name"
             )
 
     def _time_us(self, at: datetime | None) -> int:

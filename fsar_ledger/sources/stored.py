@@ -78,7 +78,7 @@ class _Row(msgspec.Struct):
 
 
 class Opening(msgspec.Struct, frozen=True):
-    """What `SourceOpened` says of the input and its reader."""
+    """The fields of `SourceOpened` about the input and its reader."""
 
     adapter: str
     input_sha256: str | None = None

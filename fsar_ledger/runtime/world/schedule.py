@@ -50,10 +50,10 @@ def happening(constants: Constants, name: str) -> Scenario | Workflow:
 @lru_cache(maxsize=4)
 def schedule(constants: Constants, seed: int, scenario: str, run: int, fleet_size: int) -> tuple[Fact, ...]:
     """Return all facts of the run in order of time, no two at the same microsecond."""
-    key, what = run_key(seed, scenario, run), happening(constants, scenario)
-    if isinstance(what, Workflow):
-        return _apart(workflow_facts(constants.world, key, what))
-    return _disturbed(constants, key, what, fleet_size)
+    key, design = run_key(seed, scenario, run), happening(constants, scenario)
+    if isinstance(design, Workflow):
+        return _apart(workflow_facts(constants.world, key, design))
+    return _disturbed(constants, key, design, fleet_size)
 
 
 def arrivals_expected(constants: Constants, fleet_size: int) -> float:
@@ -203,11 +203,11 @@ def _fleet_rules(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]:
     return facts
 
 
-def _in_the_way(world: WorldConstants, key: bytes, robot: Robot, what: str, rate_per_s: float) -> list[Fact]:
-    lengths = Stream(key, f"{what}-length/{robot}")
+def _in_the_way(world: WorldConstants, key: bytes, robot: Robot, kind: str, rate_per_s: float) -> list[Fact]:
+    lengths = Stream(key, f"{kind}-length/{robot}")
     facts: list[Fact] = []
-    for ordinal, time_us in enumerate(_arrivals(Stream(key, f"{what}/{robot}"), _mean_s(rate_per_s), world.horizon_s)):
-        name = f"{what}/{robot[6:]}/{ordinal}"
+    for ordinal, time_us in enumerate(_arrivals(Stream(key, f"{kind}/{robot}"), _mean_s(rate_per_s), world.horizon_s)):
+        name = f"{kind}/{robot[6:]}/{ordinal}"
         facts.append((time_us, ObstructionAppeared(robot, name)))
         facts.append((time_us + lengths.exponential_us(world.obstruction_mean_s), ObstructionCleared(robot, name)))
     return facts
