@@ -59,7 +59,7 @@ SEARCHED = 1_000
 class Task(msgspec.Struct):
     """The state of a task by its last messages.
 
-    `robot` executes it, `asked` are the fleets and robots that the dispatcher chose, `interruptions` counts them.
+    `robot` executes it, `asked` are the fleets and robots that the dispatcher chose, `interruptions` counts its pauses.
     """
 
     is_known: bool = False
