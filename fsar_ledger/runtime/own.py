@@ -145,21 +145,21 @@ def problems_of_commands(scenario: Scenario, fleet: Fleet) -> Iterator[Problem]:
 
     Whether a command can be carried out is decided, and recorded, when it is given.
     """
-    for number, one in enumerate(scenario.commands):
+    for number, command in enumerate(scenario.commands):
         about: Field = ("commands", number)
         end_s = END_US / 1e6
-        if not 0 <= one.at_s <= end_s:
-            yield Problem((*about, "at_s"), printable.number(one.at_s), f"seconds from 0 to {end_s:g}")
-        if not (re.fullmatch(r"(robot|supervisor|service)/\S+", one.by) and one.by.isprintable()):
-            yield Problem((*about, "by"), printable.value(one.by), "who gives it, as robot/A1 or supervisor/fleet")
-        if one.command not in commands():
-            hint = printable.did_you_mean(one.command, commands()) or ";"
+        if not 0 <= command.at_s <= end_s:
+            yield Problem((*about, "at_s"), printable.number(command.at_s), f"seconds from 0 to {end_s:g}")
+        if not (re.fullmatch(r"(robot|supervisor|service)/\S+", command.by) and command.by.isprintable()):
+            yield Problem((*about, "by"), printable.value(command.by), "who gives it, as robot/A1 or supervisor/fleet")
+        if command.command not in commands():
+            hint = printable.did_you_mean(command.command, commands()) or ";"
             names = ", ".join(sorted(commands()))
             yield Problem(
-                (*about, "command"), printable.value(one.command), f"a command that exists{hint} known are {names}"
+                (*about, "command"), printable.value(command.command), f"a command that exists{hint} known are {names}"
             )
         else:
-            yield from _problems_of_fields(about, one, fleet)
+            yield from _problems_of_fields(about, command, fleet)
 
 
 def _problems_of_fields(about: Field, one: OutsideCommand, fleet: Fleet) -> Iterator[Problem]:
@@ -207,8 +207,12 @@ def with_settings(constants: Constants, settings: Sequence[str], said: Mapping[s
 def with_sets(constants: Constants, changes: Sequence[Set]) -> Constants:
     """Return the constants with the changes from the start, after a check of all changes. Raises: UsageError."""
     now = constants
-    for from_s in sorted({one.from_s for one in changes}, key=lambda one: -1.0 if one is None else one):
-        said = {f"{one.constant}={number_text(one.value)}": f"change {one}" for one in changes if one.from_s == from_s}
+    for from_s in sorted({change.from_s for change in changes}, key=lambda one: -1.0 if one is None else one):
+        said = {
+            f"{change.constant}={number_text(change.value)}": f"change {change}"
+            for change in changes
+            if change.from_s == from_s
+        }
         now = with_settings(now, [*said], said)
         constants = now if from_s is None else constants
     return constants
