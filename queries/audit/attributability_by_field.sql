@@ -1,13 +1,14 @@
--- Title: From how many records each principal can be recovered, by field, where the source records the field
+-- Title: Share of coordination records from which each principal can be recovered, by recorded field
 -- Paper: sec:model:invariants (I5), sec:evaluation:metrics (audit attributability)
 -- Grain: one row per run and field: requester, executor, supervisor
 -- Key: run_id, field
 -- Units: record_count coordination events of the types whose field is recorded; named_count those from which the
 --   principal can be recovered; share of them
--- NULL: share where no record of the run has the field; every number of a run that tells only concerns, and not all
---   that I5 rests on
+-- NULL: share where no record of the run has the field; all numbers of a run that declares only concerns and does not
+--   observe all that I5 rests on
 -- Example: fsar-ledger query audit/attributability_by_field LEDGER answers which principals the records of a run name
--- The whole is I5 and the metric; no real protocol names a supervisor, so that they are observable by parts.
+-- I5 and the metric judge the three principals together. No real protocol names a supervisor, so such sources are
+-- observable only field by field.
 WITH recoverable AS (
     SELECT run_id, type, 'requester' AS field, 'requested_by' AS principal, has_origin AS is_named
     FROM coordination_events

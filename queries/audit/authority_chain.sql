@@ -1,13 +1,14 @@
 -- Title: The authority chain of an action: who granted, asked, relayed, admitted, accepted, supervised, acted and
 --   closed
 -- Paper: eq:auth, sec:model:request
--- Grain: one row per event of the action in which somebody asks, decides or acts; and per grant or revocation that
---   concerned its request
+-- Grain: one row per event of the action in which a principal asks, decides or acts, and per grant or revocation that
+--   bears on its request
 -- Key: run_id, action_id, seq
 -- Units: time_us microseconds of run time
--- NULL: a principal that the record does not name; the authority tuple and trust where it gives none; found, too, are
---   recovery that only its failed action ties to the action, a denial that only its cause does, an own step that only
---   what it caused does; an answer that orders two actions has the parties of the one it was called for
+-- NULL: a principal that the record does not name; the authority tuple and trust where it gives none; also included are
+--   recovery tied to the action only as its failed action, a denial tied to it only by its cause, and an own step tied
+--   to it only by its effect; an answer that orders two actions has the parties of the action for which the supervisor
+--   was called
 -- Example: fsar-ledger query audit/authority_chain LEDGER --param run=RUN --param action=B1-1/2.1
 --   answers asked robot/B1, admitted robot/C1 (session; may ask, may execute, none, audited), accepted, acted,
 --   finished, closed service/coordination
@@ -43,7 +44,7 @@ tuples AS (
 ),
 
 concerned AS (
-    -- Rights that bear on an evaluation, and events of the action itself: each once, also where it is both.
+    -- Rights that bear on an evaluation, and events of the action itself; an event that is both appears once.
     SELECT rights.run_id, rights.seq, evaluations.action_id
     FROM authority_events AS rights
     INNER JOIN evaluations

@@ -1,12 +1,11 @@
--- Title: The capability surface of a robot at a time: what it offers on which terms, who may discover it, who may ask
---   for it
+-- Title: The capability surface of a robot at a time: its offers and their terms, and who may discover or request them
 -- Paper: eq:adv, eq:advertise, eq:delegable
--- Grain: one row per run, robot and capability that it advertised at the time
+-- Grain: one row per run, robot and capability that it advertised at that time
 -- Key: run_id, robot, capability
 -- Units: since_us microseconds of run time; at seconds, by default after the end of every run
 -- NULL: successor unless a deprecation names one; visible_to is empty when every role may discover it, may_ask when no
---   other member has role and trust, and NULL when the run does not observe fleet and trust; availability when it
---   does not record how that changes
+--   other member has role and trust, and NULL when the run does not observe fleet and trust; availability when the run
+--   does not record its changes
 -- Example: fsar-ledger query audit/capability_surface LEDGER --param run=RUN --param robot=robot/C1 --param at=30
 --   answers inspect.private_zone 1.0.0 ready: discoverable by role B, and robot/B1 may ask for it
 -- Parameters: run: run = all, robot: robot = all, at: time = end
@@ -23,7 +22,7 @@ scopes (scope, breadth) AS (
 ),
 
 trusted AS (
-    -- Visible_Gamma: the role, the domain around the requester, and some trust, which asking needs at any rate.
+    -- Visible_Gamma: the role, the domain around the requester, and some trust, which a request needs in any case.
     SELECT
         surfaces.run_id, surfaces.robot, surfaces.capability, surfaces.trust_required,
         peers.robot AS peer,
@@ -55,7 +54,7 @@ trusted AS (
 ),
 
 admissible AS (
-    -- Policy, or what else a request states (version, contract, context), may still rule them out.
+    -- Policy, or the other terms of a request (version, contract, context), may still rule them out.
     SELECT
         trusted.run_id, trusted.robot, trusted.capability,
         list(trusted.peer ORDER BY trusted.peer) AS may_ask

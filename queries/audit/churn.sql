@@ -1,14 +1,13 @@
--- Title: What came of robots that left: how often they departed and returned, and what ended with that
+-- Title: Departures and returns of robots, and the requests and tasks that ended because of them
 -- Paper: sec:discussion:heterogeneity
 -- Grain: one row per run in which a robot went off, was called away, was suspected, departed or returned
 -- Key: run_id
--- Units: counts. away: times that a robot went off; announced, found_out: departures by a word, or by silence;
---   suspected, cleared, returned (or joined anew): robots each time; requests_failed: requests that ended as
---   failure(departed);
---   tasks_recovered, tasks_abandoned: tasks of facts/tasks_of_departed that were completed, or given up;
---   acts: as in facts/acts_of_departed
--- NULL: acts when the run does not tell who returned; another count when nothing of it is on record and the run does
---   not record it all
+-- Units: counts. away: times that a robot went off; announced, found_out: departures that were announced, or noticed by
+--   silence; suspected, cleared, returned (or joined anew): robots each time; requests_failed: requests that ended as
+--   failure(departed); tasks_recovered, tasks_abandoned: tasks of facts/tasks_of_departed that were completed, or given
+--   up; acts: as in facts/acts_of_departed
+-- NULL: acts when the run does not record who returned; any other count when it would be 0 and the run does not record
+--   all that it counts
 -- Example: fsar-ledger query audit/churn LEDGER --param run=RUN
 --   answers nothing, since no robot leaves in the paper's scenarios; those of the scenario churn do
 -- Parameters: run: run = all
@@ -41,7 +40,7 @@ counted AS (
 ),
 
 recorded AS (
-    -- Tasks are hit where requests, executions and recoveries end for a departure.
+    -- A departure hits a task when it ends one of its requests, executions or recoveries.
     SELECT
         run_id,
         list_cat(observes, records) AS told,

@@ -1,11 +1,11 @@
--- Title: The owner of the decision that led to an event: the nearest decision on the way back through its causes
+-- Title: The owner of the decision that led to an event: the nearest decision among its causes
 -- Paper: sec:evaluation:metrics (governance locality)
--- Grain: one row per run that has an event of this number
+-- Grain: one row per run that has an event with this number
 -- Key: run_id
 -- Units: steps causes between the event and the decision (0: the event is the decision); decided_us microseconds of run
 --   time
--- NULL: the decision's columns when no cause was a decision; decided_by when the record names no decider; is_local when
---   the record of another system names no path either
+-- NULL: the decision's columns when neither the event nor a cause is a decision; decided_by when the record names no
+--   decider; is_local when the record of another system names no path either
 -- Example: fsar-ledger query audit/decision_owner LEDGER --param run=RUN --param seq=107
 --   answers for an ExecutionFinished: RequestAccepted, 3 causes back, by robot/C1 alone, so it was local
 -- Parameters: seq: seq, run: run = all
@@ -24,7 +24,7 @@ way_back AS (
         causes.run_id, causes.seq, causes.caused_by,
         way_back.steps + 1 AS steps
     FROM way_back
-    -- A cause comes before what it causes; a forged record that says otherwise ends the search.
+    -- A cause precedes its effect; a forged record that claims otherwise ends the search.
     INNER JOIN causes
         ON way_back.run_id = causes.run_id AND way_back.caused_by = causes.seq AND way_back.seq > causes.seq
 ),
@@ -32,7 +32,7 @@ way_back AS (
 made AS (
     SELECT run_id, seq, decision_kind, is_local FROM decisions
     UNION ALL
-    -- In our own runs what has no path is no decision; another system may leave out who decided.
+    -- In our own runs an event without a path is no decision; another system may leave out the decider.
     SELECT
         events.run_id, events.seq, classes.decision_kind,
         NULL AS is_local

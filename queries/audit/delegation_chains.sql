@@ -1,11 +1,11 @@
--- Title: Chains of delegations: how each executor judged its own link, and whether the chain is well-formed
+-- Title: Delegation chains: how each executor judged its own link, and whether the chain is well-formed
 -- Paper: eq:nontransitive
--- Grain: one row per action, as it was asked for last, within each chain of two or more links that it belongs to
+-- Grain: one row per action, as it was last requested, within each chain of two or more links that it belongs to
 -- Key: run_id, chain, action_id
--- Units: link number of the link on record from 1; asked_us microseconds of run time, when it was asked for last
--- NULL: verdict, conjunct, trust while nobody has judged the link; conjunct unless denied; is_well_formed while a link
---   is open in a live or foreign run, is not judged in a run that does not observe request, or serves a request that is
---   not on record; end_scope then, or when the link's executor had set no trust in the chain's first requester by then
+-- Units: link number of the link on record from 1; asked_us microseconds of run time of the last request
+-- NULL: verdict, conjunct, trust while the link has not been judged; conjunct unless denied; is_well_formed while a
+--   link is open in a live or foreign run, is not judged in a run that does not observe request, or serves a request
+--   that is not on record; end_scope then, or when the link's executor had yet to set trust in the first requester
 -- Example: fsar-ledger query audit/delegation_chains LEDGER --param run=RUN
 --   answers link 1 robot/A1 to robot/B1 (task, admitted), link 2 robot/B1 to robot/C1 (session, admitted): well-formed
 -- Parameters: run: run = all, action: action = all
@@ -27,7 +27,7 @@ chains AS (
     SELECT
         asks.run_id, asks.seq, asks.first_seq, chains.chain, asks.action_id,
         chains.first_requester, chains.is_whole, chains.link + 1 AS link
-    FROM chains  -- A request comes after the one that it serves; a forged record that says otherwise is no link.
+    FROM chains  -- A request follows the one that it serves; a forged record that claims otherwise is no link.
     INNER JOIN asks
         ON chains.run_id = asks.run_id AND chains.action_id = asks.parent AND chains.first_seq < asks.first_seq
 ),
@@ -60,7 +60,7 @@ SELECT
         WHEN bool_or(judged.verdict = 'denied') OVER links THEN FALSE
         WHEN NOT chains.is_whole THEN NULL
         WHEN count(*) FILTER (judged.verdict = 'admitted') OVER links = count(*) OVER links THEN TRUE
-        -- Such a record ends where it was read: what waits for an answer there is open, and no offence.
+        -- Such a record ends where it was read: a request still waiting for an answer is open, not an offence.
         WHEN
             runs.kind IN ('live', 'foreign') AND bool_or(
                 judged.verdict IS DISTINCT FROM 'admitted'

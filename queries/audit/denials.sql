@@ -2,12 +2,13 @@
 -- Paper: eq:admissible, eq:policy, sec:model:request
 -- Grain: one row per RequestDenied event
 -- Key: run_id, seq
--- Units: denied_s seconds of run time; seq, under_seqs positions in the run, for `prove RUN:SEQ`; robot: who asked, was
---   asked or denied, itself or by an agent of its own
+-- Units: denied_s seconds of run time; seq, under_seqs positions in the run, for `prove RUN:SEQ`; robot matches the
+--   requester, the denier or the robot that was asked, itself or through one of its agents
 -- NULL: asked_by when no record of the action names who asked; any other principal that the record does not name;
 --   action_id when neither the record nor its cause names one; denied_under, under_seqs (the names and positions of the
---   windows and rules, side by side) when none on record explains the denial, as where nobody records when windows end
--- `grounds_of_denials` tells when each window or rule held, and whose policy it was.
+--   windows and rules, side by side) when none on record explains the denial, as where the ends of windows are not
+--   recorded
+-- `grounds_of_denials` lists when each window or rule held, and whose policy it was.
 -- Example: fsar-ledger query audit/denials LEDGER --param run=RUN
 --   answers A1-1/3.1 at 31.046 s: denied by robot/B1 for policy, under window local/B1/0, supervised by supervisor/B1
 -- Parameters: run: run = all, action: action = all, robot: robot = all

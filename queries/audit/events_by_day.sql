@@ -1,9 +1,10 @@
--- Title: What happened on each day, of runs that know when they began, to hold one day or recording beside another
+-- Title: Events by day and type, in runs with a known start, to compare days or recordings
 -- Paper: sec:evaluation:metrics
--- Grain: one row per run, UTC day with records of the run, and event type that the run records, or has seen that day
+-- Grain: one row per run, UTC day with records of the run, and event type that the run records, or that occurred on
+--   that day
 -- Key: run_id, day, type
 -- Units: event_count events; recorded_s seconds from the first to the last event of the run on that day
--- NULL: never; a type that the run does not record has no row, since nobody knows how often it happened
+-- NULL: never; a type that the run does not record has no row, since its number of events is unknown
 -- Example: fsar-ledger query audit/events_by_day LEDGER answers ExecutionFailed: 2 on 2026-03-01 and 0 on 2026-03-02
 WITH dated AS (
     SELECT

@@ -1,4 +1,4 @@
--- Title: What was planned, and how much of it is there
+-- Title: Planned runs, and how many the ledger holds
 -- Paper: sec:evaluation:setup
 -- Grain: one row per plan
 -- Key: plan
@@ -7,7 +7,7 @@
 -- NULL: never
 -- Example: fsar-ledger query audit/experiments LEDGER
 --   answers plan.n4.s42.x0020-...: 300 planned, 300 there, 0 missing, part of 0 larger plans
--- A plan that a larger one follows was enlarged. The ledger then holds the same runs as if the larger one had been
+-- A plan that is part of a larger one was enlarged. The ledger then holds the same runs as if the larger one had been
 -- planned at once, under another root.
 WITH there AS (
     SELECT

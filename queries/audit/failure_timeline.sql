@@ -1,14 +1,14 @@
--- Title: The recovery of a failure, level by level: what was tried, what came of it, how long each level took and why
---   it was left
+-- Title: The recovery of a failure, level by level: what was tried, the result, how long each level took and why it was
+--   left
 -- Paper: fig:wf3, eq:recovery
--- Grain: one row per step that recovery took about a failure; the resolution is the last
+-- Grain: one row per recovery step about a failure; the resolution is the last
 -- Key: run_id, action_id, failure, seq
 -- Units: step counts from 1 within the failure; level_number 1 local to 4 human; time_s, until_s seconds of run time;
 --   spent_s seconds at the level in all; budget_s seconds from detection to the deadline of the attempt
--- NULL: decided_by when the record names none; result when nothing came of it or none is recorded; until_s of the last
---   step; budget_s where no attempt has a deadline; achieved when not even a part was; budget_s, and spent_s of the
---   first level, when nobody recorded that the failure occurred; spent_s of the last level, when it was not resolved on
---   record and the run does not record what is
+-- NULL: decided_by when the record names none; result when there was none or none is recorded; until_s of the last
+--   step; budget_s where no attempt has a deadline; achieved when nothing was achieved; budget_s, and spent_s of the
+--   first level, when the failure itself is not on record; spent_s of the last level, when no resolution is on record
+--   and the run does not record resolutions
 -- Example: fsar-ledger query audit/failure_timeline LEDGER --param run=RUN --param action=A1-1/2.1
 --   answers attempt 1 and 2 at robot/D1 in vain, no peer, no reassignment, supervisor/fleet resolved it; 4.356, 0.196,
 --   0.571 and 24.384 s
@@ -22,12 +22,12 @@ steps AS (
     SELECT
         run_id, action_id, failure, detected_us, seq, time_us, until_us, decided_by, level, to_level, deadline_us, what,
         achieved,
-        -- Of several calls for a human the last one resolved the failure.
+        -- Of several calls for a human, the last one resolved the failure.
         CASE
             WHEN type <> 'SupervisorCalled.v1' OR lead(type) OVER in_order = 'FailureResolved.v1' THEN result
         END AS result,
         row_number() OVER in_order AS step,
-        -- A step that follows an escalation began with it; the first began with the detection.
+        -- A step after an escalation began with it; the first step began at the detection.
         CASE
             WHEN lag(seq) OVER in_order IS NULL THEN detected_us
             WHEN lag(type) OVER in_order = 'RecoveryEscalated.v1' THEN lag(time_us) OVER in_order

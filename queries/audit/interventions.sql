@@ -1,13 +1,13 @@
--- Title: Human interventions: which calls of the fleet supervisor, when, in which run, for what, and what was decided
+-- Title: Human interventions: each call of the fleet supervisor, when, in which run, for what, and what was decided
 -- Paper: sec:evaluation:metrics (human intervention), eq:supervision
--- Grain: one row per SupervisorCalled event for H_F, which is what human_intervention counts; that metric is the share
---   of runs with at least one
+-- Grain: one row per SupervisorCalled event for H_F, which human_intervention counts; that metric is the share of runs
+--   with at least one
 -- Key: run_id, seq
 -- Units: called_s, decided_s seconds of run time; seq (the call), decided_seq (the answer), under_seqs (the windows and
 --   rules) positions in the run, for `prove RUN:SEQ`
--- NULL: action_id and what is told of it when the call is about no action; decided_by, decision, decided_s, decided_seq
---   when no answer to the call is on record; capability, asked_by when no record of the action names one; called_under,
---   under_seqs when it is for no review, or no window or rule on record explains it
+-- NULL: action_id and the columns about it when the call is about no action; decided_by, decision, decided_s,
+--   decided_seq when no answer to the call is on record; capability, asked_by when no record of the action names one;
+--   called_under, under_seqs when it is for no review, or no window or rule on record explains it
 -- Example: fsar-ledger query audit/interventions LEDGER --param run=RUN
 --   answers a call for review of A1-2/4.1 door.open.secure at 78.287 s, which supervisor/fleet approved at
 --   137.865 s

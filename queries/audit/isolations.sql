@@ -1,9 +1,10 @@
--- Title: Who went on alone when, and what of it was accepted or overtaken once the federation was back
+-- Title: Isolations of robots, and how many of their results were accepted or overtaken afterwards
 -- Paper: sec:architecture:overview, sec:architecture:invariants (A1)
--- Grain: one row per run of a robot alone, and per handing over in a fleet's run
+-- Grain: one row per run of an isolated robot, and per handover of its results in a fleet's run
 -- Key: run_id, seq
--- Units: began_us, ended_us microseconds of run time; accepted, overtaken how many results
--- NULL: fleet_run in a fleet's run; ended_us, accepted, overtaken in the run of a robot alone, which does not know
+-- Units: began_us, ended_us microseconds of run time; accepted, overtaken results
+-- NULL: fleet_run in a fleet's run; ended_us, accepted, overtaken in the run of the isolated robot, which does not
+--   record them
 -- Example: fsar-ledger query audit/isolations LEDGER
 --   answers nothing, since no robot of the paper goes on alone
 WITH results AS (

@@ -1,12 +1,12 @@
--- Title: Who was a member when: joined, suspected, departed and returned
+-- Title: Membership periods: joined, suspected, departed and returned
 -- Paper: eq:fleet, sec:discussion:heterogeneity
--- Grain: one row per time for which a robot was a member: from its joining, or its return, to its departure
+-- Grain: one row per period in which a robot was a member: from joining or returning to its departure
 -- Key: run_id, robot, fence?
 -- Units: began_us, ended_us microseconds of run time; fence how often it had departed before; suspected, cleared how
---   often within that time
--- NULL: began_us, began_seq where nobody recorded that it joined; ended_us, how, ended_by while it is a member, to the
---   end of the run; ended_by where the record names nobody; fence, suspected, cleared when none is on record and the
---   run does not record it
+--   often within the period
+-- NULL: began_us, began_seq where its joining is not on record; ended_us, how, ended_by if it is a member to the end of
+--   the run; ended_by where the record names no principal; fence, suspected, cleared when there is none on record and
+--   the run does not record them
 -- Example: fsar-ledger query audit/memberships LEDGER --param run=RUN --param robot=robot/B1
 --   answers robot/B1, fence 0, began at 0.0 s, suspected 0, cleared 0
 -- Parameters: run: run = all, robot: robot = all

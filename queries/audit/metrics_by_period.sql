@@ -1,12 +1,12 @@
--- Title: The paper's eight metrics of each day, or of each part between two cuts
+-- Title: The paper's eight metrics by day, or by part between two cuts
 -- Paper: sec:evaluation:metrics
--- Grain: one row per run, period and metric: by day, each UTC day with records of a run that knows when it began; by
---   part, each of the runs that continue each other, under its own name, or a run that continues none as a whole
+-- Grain: one row per run, period and metric: by day, each UTC day with records of a run whose start is known; by part,
+--   each of the runs that continue one another, under its own name, or the whole of a run that continues none
 -- Key: run_id, since_us, metric
 -- Units: since_us, until_us microseconds of run time, half-open; numerator, denominator, value as in run_metrics, of
---   the tasks that arrived, the failures that were detected and all else that began then
--- NULL: until_us of the last part; value where nothing was counted; numbers of a run that does not observe what the
---   metric rests on; not_observed of one that does. What is still open counts as in run_metrics (facts/open_work)
+--   the tasks that arrived, the failures that were detected and all other cases that began in the period
+-- NULL: until_us of the last part; value where nothing was counted; numbers where the run does not observe what the
+--   metric rests on; not_observed where it does. Open work counts as in run_metrics (facts/open_work)
 -- Example: fsar-ledger query audit/metrics_by_period LEDGER --param per=part answers how the shifts of a run compare
 -- Parameters: run: run = all, per: period = day
 WITH days AS (

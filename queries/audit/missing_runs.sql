@@ -1,4 +1,4 @@
--- Title: Planned runs that are missing, each counted once, however many plans name it
+-- Title: Missing planned runs, each counted once, however many plans name it
 -- Paper: sec:evaluation:setup
 -- Grain: one row per seed, fleet size, model version, constants, architecture, configuration and scenario of a plan
 --   that lacks runs
@@ -7,8 +7,8 @@
 -- NULL: never
 -- Example: fsar-ledger query audit/missing_runs LEDGER
 --   answers no rows where all that was planned is there
--- Several plans of numbers that overlap together ask for each number once, and a plan within a
--- larger one adds nothing. A plan of more than 10,000 combinations of names, which no experiment has, is left out.
+-- Of several overlapping plans each run number counts once, and a plan within a larger one adds nothing. A plan of more
+-- than 10,000 combinations of names, which no experiment has, is left out.
 WITH lacking AS (
     SELECT *
     FROM experiments

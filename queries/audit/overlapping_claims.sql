@@ -1,6 +1,6 @@
 -- Title: Pairs of overlapping claims: two principals that held the same dimension of authority over one action
 -- Paper: eq:auth, sec:evaluation:metrics (authority conflicts)
--- Grain: one row per pair of claims that overlap; claims end just before their release
+-- Grain: one row per pair of claims that overlap; a claim no longer holds at the time of its release
 -- Key: run_id, one_seq, other_seq
 -- Units: from_us, until_us microseconds of run time, half-open
 -- NULL: until_us when neither claim was released

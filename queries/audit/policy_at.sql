@@ -1,14 +1,14 @@
--- Title: The policy that was truly in force at a time
+-- Title: The policy actually in force at a time
 -- Paper: eq:policy, app:foundations
--- Grain: one row per run, robot and scope (facts/policy_subjects), capability and context that have a rule of their
---   own in that run, with one for all others; or for the capability and context that are asked about
+-- Grain: one row per run, robot and scope (facts/policy_subjects), capability and context that have a rule of their own
+--   in that run, with one for all others; or for the capability and context passed as parameters
 -- Key: run_id, robot, scope, capability?, context?
--- Units: since_us, until_us microseconds of run time, half-open: from and until when the outcome is this one, whichever
+-- Units: since_us, until_us microseconds of run time, half-open: the period in which the outcome is this one, whichever
 --   windows and rules give it; at seconds, by default after the end of every run
--- NULL: capability, context for all that have no row of their own; outcome when nothing on record asks for review or
---   denies for sure (of a window, its end would be recorded, too) and the run does not observe policy, or not of then
---   (facts/begun_before), or has rules and not that the robot joined; since_us when the outcome is so since the
---   beginning of the run, or unknown; until_us when it did not change later
+-- NULL: capability, context for all that have no row of their own; outcome when no record asks for review or certainly
+--   denies (the end of a window would be on record, too) and the run does not observe policy, or not at that time
+--   (facts/begun_before), or has rules but no record that the robot joined; since_us when the outcome has held since
+--   the beginning of the run, or is unknown; until_us when it did not change later
 -- Example: fsar-ledger query audit/policy_at LEDGER --param run=RUN --param robot=robot/D1 --param at=31.2
 --   answers robot/D1: its own policy denies since 24.818 s, the fleet's rule since 31.07 s
 -- Parameters: run: run = all, robot: robot = all, capability: capability = all, context: context = all, at: time = end
@@ -20,7 +20,7 @@ WITH asked AS (
         AND (capability IS NULL OR $capability IN ('all', capability))
         AND (context IS NULL OR $context IN ('all', context))
     WINDOW subject AS (PARTITION BY run_id, robot, scope)
-    -- What has no rule of its own is among all others.
+    -- A capability or context without a rule of its own is among all others.
     QUALIFY
         ($capability = 'all' OR (capability IS NULL) = bool_and(capability IS NULL) OVER subject)
         AND ($context = 'all' OR (context IS NULL) = bool_and(context IS NULL) OVER subject)
@@ -39,7 +39,7 @@ moments AS (
 ),
 
 strangers AS (
-    -- Which rules hold for a robot that nobody recorded as a member is unknown.
+    -- Which rules hold for a robot that is not recorded as a member is unknown.
     SELECT DISTINCT run_id, robot FROM policy_subjects
     WHERE
         NOT is_member
@@ -50,7 +50,7 @@ strangers AS (
 ),
 
 known AS (
-    -- A run that does not observe policy can show that something was not allowed, and never that it was.
+    -- A run that does not observe policy can show that something was not allowed, but never that it was.
     SELECT
         moments.run_id, moments.robot, moments.scope, moments.capability, moments.context, moments.since_us,
         moments.until_us, moments.strictness,

@@ -1,10 +1,10 @@
 -- Title: The policy at a time as its decider knew it, beside the true one
 -- Paper: eq:policy, sec:evaluation:baselines
--- Grain: one row per run, robot, scope and decider that had been told of it by then; where nobody had, one says why
+-- Grain: one row per run, robot, scope and decider that had been told of it by then, or with the reason why none
 -- Key: run_id, known_by?, robot, scope
--- Units: learned_us, as_of_us microseconds of run time; at seconds, by default the end; true_outcome of the windows
--- NULL: what was known, and the comparison, when nobody had been told; why_unknown when somebody had; true_outcome,
---   is_wrong when no window on record surely (its end is told) asks for review or denies and not all policy is observed
+-- Units: learned_us, as_of_us microseconds of run time; at seconds, by default the end; true_outcome by the windows
+-- NULL: the known policy and the comparison when no decider had been told; why_unknown when one had; true_outcome,
+--   is_wrong when no window on record (with its end) asks for review or denies and not all policy is observed
 -- Example: fsar-ledger query audit/policy_known_at LEDGER --param run=RUN --param robot=robot/D1 --param at=31.2
 --   answers the coordinator takes the fleet's rule to allow, as of 25.305 s; truly it denies, so it is wrong
 -- Parameters: run: run = all, robot: robot = all, at: time = end

@@ -1,11 +1,11 @@
--- Title: What the record of a run would need for each invariant and metric to become observable, fewest first
+-- Title: The missing records that would make each invariant and metric of a run observable, fewest first
 -- Paper: sec:evaluation:metrics, sec:model:invariants, sec:architecture:invariants
 -- Grain: one row per run and invariant or metric
 -- Key: run_id, judge
 -- Units: missing_count event types, fields or concerns
--- NULL: missing where nothing is; not_even_offences where it is observable
+-- NULL: missing where nothing is missing; not_even_offences where it is observable
 -- Example: fsar-ledger query audit/record_gaps LEDGER answers what a source would have to record for each judgement
--- Without not_even_offences an offence that is on record counts, although nothing can be said to hold.
+-- Where not_even_offences is FALSE, a recorded offence counts, but nothing can be shown to hold.
 WITH judges AS (
     SELECT DISTINCT judge, 'invariant' AS kind
     FROM judged_concerns

@@ -1,19 +1,19 @@
--- Title: The recordings that runs were imported from: their format, clock and hash, and what became of their records
+-- Title: The recordings that runs were imported from: format, clock, hash, and how many records yielded events
 -- Paper: sec:evaluation:metrics
--- Grain: one row per run and opening of a source; one that was continued was opened again
+-- Grain: one row per run and opening of a source; a continued source was opened again
 -- Key: run_id, seq
--- Units: record_count records on file of the source in the run, each once though it was cut at first; underived_count
---   those that no event follows: they tell nothing, or what they tell waited for another record, as a span for its
---   parent
--- NULL: input_sha256 of what was no file, mapping_sha256 without a mapping; until_us while the source is open, or where
---   it was opened again without having been closed
+-- Units: record_count source records stored in the run, each once even if it was first cut off; underived_count those
+--   that yielded no event: they say nothing relevant, or wait for another record, as a span for its parent
+-- NULL: input_sha256 where the source is not a file; mapping_sha256 without a mapping; until_us while the source is
+--   open, or where it was opened again without having been closed
 -- Example: fsar-ledger query audit/recordings LEDGER answers which recordings the runs were imported from
 WITH derived AS (
     SELECT DISTINCT run_id, caused_by AS seq
     FROM keyed_events
     WHERE caused_by IS NOT NULL AND run_id IN (SELECT run_id FROM source_opened)
     UNION
-    -- What follows from a record of an import stands behind it, also where it has another cause, such as the request.
+    -- Events derived from an imported record follow it directly, even when another event, such as the request, is their
+    -- cause.
     SELECT observed.run_id, observed.seq
     FROM observed
     INNER JOIN keyed_events AS following ON observed.run_id = following.run_id AND observed.seq + 1 = following.seq

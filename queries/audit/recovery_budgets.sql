@@ -1,12 +1,12 @@
--- Title: What each failure used of the budget that its robot had at each level of recovery
+-- Title: How much of its budget each failure used at each level of recovery
 -- Paper: eq:recovery, app:foundations (Paper 3)
--- Grain: one row per failure and level that its recovery turned to
+-- Grain: one row per failure and level that its recovery reached
 -- Key: run_id, action_id, failure, level
--- Units: spent_us, t_max_us microseconds, spent_us with the time of the help; used, n_max attempts (local), helpers
---   asked (peer), reassignments and help that is ordered (fleet), calls (human); rank 1 local to 4 human
--- NULL: spent_us when the failure was still at this level at the end of its record, and of the first level when nobody
---   recorded that it occurred; t_max_us, n_max where the run records neither; set_by where the budget is the fleet's
---   own; used when none is on record and the run does not observe recovery (of level human: supervision)
+-- Units: spent_us, t_max_us microseconds, spent_us including the time of the help; used, n_max attempts (local),
+--   helpers asked (peer), reassignments and ordered help (fleet), calls (human); rank 1 local to 4 human
+-- NULL: spent_us when the failure was still at this level at the end of its record, and of the first level when the
+--   failure itself is not on record; t_max_us, n_max where the run records neither; set_by where the budget is the
+--   fleet's own; used when none is on record and the run does not observe recovery (of level human: supervision)
 -- Example: fsar-ledger query audit/recovery_budgets LEDGER --param run=RUN --param action=A1-1/2.1
 --   answers local 2 of 2 attempts, peer 0 of 1 helpers, fleet 0 of 1 reassignments, human 1 of 2 calls
 -- Parameters: run: run = all, action: action = all
@@ -26,7 +26,7 @@ WITH stays AS (
 ),
 
 levels AS (
-    -- Recovery that goes back to a level spends what is left of its budget.
+    -- Recovery that returns to a level spends the rest of its budget.
     SELECT
         run_id, action_id, failure, level, rank, robot,
         min(seq) AS seq,

@@ -1,12 +1,13 @@
 -- Title: The time that each failure spent at each level of recovery
 -- Paper: eq:recovery
--- Grain: one row per failure and level that its recovery turned to
+-- Grain: one row per move of a failure's recovery to a level
 -- Key: run_id, action_id, failure, move
 -- Units: entered_us, left_us microseconds of run time; spent_us microseconds; attempts count; the first level counts
 --   from detection
--- NULL: left_because where nothing else came or the record does not say it; left_us, spent_us when the failure was
---   still at this level at the end of its record; entered_us, spent_us of the first level when nobody recorded that it
---   occurred; attempts when none, is_resolved_here when no end, is on record and the run does not observe recovery
+-- NULL: left_because where nothing followed or the record does not give it; left_us, spent_us when the failure was
+--   still at this level at the end of its record; entered_us, spent_us of the first level when the failure itself is
+--   not on record; attempts when no attempt, is_resolved_here when no end, is on record and the run does not observe
+--   recovery
 -- Example: fsar-ledger query audit/recovery_time LEDGER --param run=RUN --param action=A1-1/4.1
 --   answers local 4.101 s with 2 attempts (budget exhausted), peer 0.065 s, fleet 0.515 s, human 40.066 s, where it was
 --   resolved

@@ -4,9 +4,9 @@
 -- Grain: one row per run, type of refusal, reason and principal that decided it
 -- Key: run_id, type, reason?, decided_by?
 -- Units: refusals count; first_us, last_us microseconds of run time
--- NULL: decided_by when the record names no decider; conjunct when the refusal is no part of eq:admissible; the reason
---   of an unanswered request, of declined help and of a counter-offer is what their type means, NULL where nobody is
---   known to have been asked and the run does not observe registry
+-- NULL: decided_by when the record names no decider; conjunct when the refusal is no part of eq:admissible; an
+--   unanswered request, declined help and a counter-offer have the reason that their type implies, NULL where no robot
+--   is known to have been asked and the run does not observe registry
 -- Example: fsar-ledger query audit/refusals LEDGER --param run=RUN
 --   answers RequestDenied, policy (conjunct policy), by robot/B1: 1, at 31.046 s
 -- Parameters: run: run = all, reason: reason = all

@@ -1,16 +1,16 @@
--- Title: Chains through a relay, link by link: whom each receiver trusted, and that the ends do not trust each other
+-- Title: Chains through a relay, link by link: each receiver's trust in its sender, and the trust between the ends
 -- Paper: eq:nontransitive
 -- Grain: one row per link (two for a chain: requester to relay, relay to executor) of each request through a relay
 -- Key: run_id, asked_seq, link
 -- Units: link number of the link from 1; passed_us microseconds of run time
--- NULL: passed_us, seq when the relay did not pass it on; a trust scope that had not been set by then; is_trusted, too,
+-- NULL: passed_us, seq when the relay did not pass it on; a trust scope that had not been set by then; is_trusted also
 --   when the run does not observe fleet and trust
 -- Example: fsar-ledger query audit/relay_links LEDGER --param run=RUN
 --   answers link 1 robot/D1 to robot/A1 (capability), link 2 robot/A1 to robot/B1 (task); robot/B1 has set none for
 --   robot/D1
 -- Parameters: run: run = all, action: action = all
 WITH passed AS (
-    -- A relay passes on what it was last asked to.
+    -- A relay passes on the last request that it received.
     SELECT relayed.run_id, relayed.seq, relayed.time_us, max(asked.seq) AS asked_seq
     FROM request_relayed AS relayed
     INNER JOIN request_issued AS asked

@@ -3,9 +3,9 @@
 -- Grain: one row per message or deed of the action
 -- Key: run_id, action_id, seq, message
 -- Units: step counts from 1 within the action; time_s seconds of run time; clock the time in UTC
--- NULL: clock where a run does not know when it began; sender, receiver when the record does not say; note when there
---   is nothing to add. Records that name no action belong to the timeline when they caused, or were caused by, one
---   that does; is_tied says which they are
+-- NULL: clock where the start of the run is unknown; sender, receiver when the record does not name them; note when
+--   there is nothing to add. Records that name no action belong to the timeline when they caused, or were caused by,
+--   one that does; is_tied marks them
 -- Example: fsar-ledger query audit/request_timeline LEDGER --param run=RUN --param action=A1-1/4.1
 --   answers robot/A1 lacks door.open.secure, asks service/registry, requests it of robot/B1, which evaluates, accepts,
 --   executes: success
@@ -40,7 +40,7 @@ chain AS (
     SELECT own.run_id, own.action_id, own.seq, own.caused_by, TRUE AS is_tied
     FROM own
     UNION
-    -- What caused it, and what it caused, as long as the record names no action.
+    -- Its causes and effects, as far as their records name no action.
     SELECT known.run_id, chain.action_id, known.seq, known.caused_by, FALSE AS is_tied
     FROM chain
     INNER JOIN steps ON chain.run_id = steps.run_id AND chain.seq = steps.from_seq

@@ -1,17 +1,17 @@
--- Title: Requests: who asked, who allowed, who denied and under which window or rule, who executed, who supervised, and
---   what came of it; and own steps that failed or were denied
+-- Title: Requests: who asked, allowed, denied (under which window or rule), executed and supervised, and the result;
+--   also own steps that failed or were denied
 -- Paper: eq:request, eq:auth, sec:model:invariants (I5)
--- Grain: one row per action that another robot was to do, per attempt of an outsider, per own action with a failure or
---   a denial, and per action that the call names
+-- Grain: one row per action meant for another robot, per attempt of an outsider, per own action with a failure or a
+--   denial, and per action named by the parameter
 -- Key: run_id, action_id
 -- Units: began_s, denied_s (the last denial), ended_s seconds of run time; failures, denials count; denied_seq (the
---   last denial), seq (what decided the result) positions in the run, for `prove RUN:SEQ`; is_request is what another
---   robot was to do or an outsider tried, so that `count_if(is_request)` counts requests
+--   last denial), seq (what decided the result) positions in the run, for `prove RUN:SEQ`; is_request marks actions
+--   meant for another robot and attempts of outsiders, so that `count_if(is_request)` counts requests
 -- NULL: a principal that the record does not name; capability when the record of the action names none; denied_s,
 --   denied_seq without a denial; denied_under when no window or rule on record explains one; ended_s when the record
---   shows no end; seq while nothing has decided the result. What nothing on record tells is NULL where the run does not
---   observe it: denials without request, knowledge and supervision, failures without recovery, result without
---   request, execution and registry
+--   shows no end; seq while the result is undecided. Where nothing is on record, NULL if the run does not observe it:
+--   denials without request, knowledge and supervision, failures without recovery, result without request, execution
+--   and registry
 -- Example: fsar-ledger query audit/requests LEDGER --param run=RUN
 --   answers A1-1/2.1 door.open.basic: asked by robot/A1, allowed by robot/B1, executed by robot/B1, supervised by
 --   supervisor/B1: success
@@ -54,7 +54,7 @@ SELECT
         WHEN actions.result IS NOT NULL THEN actions.result
         WHEN actions.refused_seq IS NULL THEN actions.state
         WHEN actions.refusal = 'nobody to ask' AND actions.offered_seq < actions.refused_seq THEN 'no answer'
-        -- It may have begun all the same, and somebody may have been offered.
+        -- It may still have begun, and there may have been candidates.
         WHEN NOT list_contains(runs.observes, 'execution') THEN NULL
         WHEN actions.refusal = 'nobody to ask' AND NOT list_contains(runs.observes, 'registry') THEN NULL
         ELSE actions.refusal

@@ -3,8 +3,8 @@
 -- Grain: one row per claim whose reason is a revocation, and per AuthorityRevoked event
 -- Key: run_id, seq
 -- Units: revoked_us, effective_us microseconds of run time; waited_us microseconds
--- NULL: effective_us, waited_us, boundary, action_id of a right when it never took effect; revoked_from when nobody
---   held execution; capability, context: any
+-- NULL: effective_us, waited_us, boundary, action_id of a right when it never took effect; revoked_from when no
+--   principal held execution; capability, context: any
 -- Example: fsar-ledger query audit/revocations LEDGER --param run=RUN
 --   answers A1-1/7.1: robot/A1 revoked at 51.375 s what robot/D1 executed; effective after its ExecutionFinished, 7.111
 --   s later
@@ -32,7 +32,7 @@ WITH claimed AS (
 ),
 
 ended AS (
-    -- The boundary is what happened to the action just before the release, apart from other claims and releases.
+    -- The boundary is the last event of the action before the release, other than claims and releases.
     SELECT
         claimed.run_id, claimed.seq, claimed.action_id, claimed.revoked_by, claimed.revoked_from, claimed.revoked_us,
         claimed.effective_us,
@@ -47,7 +47,7 @@ ended AS (
 ),
 
 withdrawn AS (
-    -- A right is withdrawn at the first request that is denied for it, while it is the last word on that right.
+    -- A revocation takes effect at the first request that is denied for it while no later event changes that right.
     SELECT
         revoked.run_id, revoked.seq,
         arg_min(denials.action_id, denials.seq) AS action_id,

@@ -1,23 +1,23 @@
 -- Title: The execution state of a robot at a time: off, idle, executing, degraded, failed or departed
 -- Paper: sec:evaluation:simulator, sec:model:robot
--- Grain: one row per run and robot that had joined by then, or had something in hand or an outage all the same
+-- Grain: one row per run and robot that had joined by then, had an action in progress or had an outage
 -- Key: run_id, robot
 -- Units: at seconds of run time; the default time is after the end of every run
--- NULL: action_id (of several one that failed, else the first that does not wait) when nothing was in hand; state when
---   nothing tells it and not all is observed, it was off, or busy, since before the record, or no return is recorded
+-- NULL: action_id (of several one that failed, else the first that does not wait) when no action was in progress; state
+--   when not on record and not all is observed, it was off or busy since before the record, or no return is recorded
 -- Example: fsar-ledger query audit/robot_state_at LEDGER --param at=31 answers robot/D1 is failed, A1-1/5.1 in hand
 -- Parameters: run: run = all, robot: robot = all, at: time = end
 WITH past AS (
     SELECT events.* FROM event_principals AS events INNER JOIN run_started AS runs ON events.run_id = runs.run_id
     WHERE
         $run IN ('all', events.run_id) AND events.time_us <= $at_us::BIGINT
-        AND ( -- where the ends of executions are not recorded, none is told
+        AND ( -- where the ends of executions are not recorded, no execution is reported
             list_contains(runs.observes, 'execution') OR NOT starts_with(events.type, 'Execution')
             OR list_has_all(runs.records, ['ExecutionFinished', 'ExecutionWithdrawn'])
         )
 ),
 
-outward AS ( -- failures that are being recovered by others than the robot
+outward AS ( -- failures that another principal than the robot is recovering
     SELECT run_id, coalesce(failed_action, action_id) AS action_id FROM past
     WHERE type IN ('RecoveryEscalated.v1', 'FailureResolved.v1')
     GROUP BY run_id, coalesce(failed_action, action_id)
@@ -53,7 +53,7 @@ members AS (
         SELECT run_id, robot, arg_max(type, seq) AS what, 0 AS since_us, NULL AS until_us FROM past
         WHERE type IN ('RobotJoined.v1', 'RobotDeparted.v1', 'RobotReturned.v1')
         GROUP BY run_id, robot
-        UNION ALL -- not every record of another system says who joined
+        UNION ALL -- records of other systems may not say who joined
         SELECT run_id, robot, NULL AS what, 0 AS since_us, NULL AS until_us FROM held
     ) AS spells
     WHERE robot IS NOT NULL AND since_us <= $at_us::BIGINT AND (until_us IS NULL OR until_us > $at_us::BIGINT)

@@ -1,6 +1,6 @@
 -- Title: Escalations that skipped a level of recovery, or went back to an earlier one
 -- Paper: eq:recovery, sec:model:invariants (I4)
--- Grain: one row per move of recovery that is not to the next level outward
+-- Grain: one row per move of recovery that is not to the next outward level
 -- Key: run_id, action_id, failure, seq
 -- Units: time_us microseconds of run time
 -- NULL: from_level when recovery did not begin at the first level; decided_by when the record names no decider; reason

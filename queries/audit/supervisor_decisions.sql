@@ -1,12 +1,13 @@
--- Title: What one supervisor decided: answers to calls, and interventions of their own accord
+-- Title: Decisions of a supervisor: answers to calls, and interventions on its own initiative
 -- Paper: eq:supervision, sec:architecture:fleet (human oversight console)
 -- Grain: one row per SupervisorResponded event, and per other event that a supervisor decided (trust, rules, rights,
 --   density, budgets)
 -- Key: run_id, seq
 -- Units: called_us, decided_us microseconds of run time; waited_us microseconds; under_seqs positions in the run
--- NULL: purpose, called_us, waited_us for what answers no call; called_under, under_seqs (the windows and rules that
---   asked for the review) for what answers no review, or one that none on record explains; decided_by when the record
---   names no decider; robot, capability, action_id and the principals when the decision is about none in particular
+-- NULL: purpose, called_us, waited_us for a decision that answers no call; called_under, under_seqs (the windows and
+--   rules that asked for the review) for one that answers no review, or a review that none on record explains;
+--   decided_by when the record names no decider; robot, capability, action_id and the principals when the decision is
+--   not about a particular one
 -- Example: fsar-ledger query audit/supervisor_decisions LEDGER --param supervisor=supervisor/fleet
 --   answers recovery of A1-1/4.1, called at 84.854 s, decided at 124.92 s
 -- Parameters: run: run = all, supervisor: supervisor = all

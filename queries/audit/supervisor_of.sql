@@ -1,11 +1,11 @@
--- Title: Who supervised an action, by its records, and whether that supervisor was on shift
+-- Title: The recorded supervisors of an action, and whether each was on shift
 -- Paper: eq:supervision
 -- Grain: one row per run, action and supervisor that its coordination events and denials name
 -- Key: run_id, action_id, supervised_by?
 -- Units: first_us, last_us microseconds of run time; first_seq, last_seq positions in the run, for `prove RUN:SEQ`;
 --   records and records_off_shift events
--- NULL: supervised_by for the records that name no supervisor; records_off_shift for these, too, and when the run does
---   not observe supervision
+-- NULL: supervised_by for the records that name no supervisor; records_off_shift for these as well, and when the run
+--   does not observe supervision
 -- Example: fsar-ledger query audit/supervisor_of LEDGER --param run=RUN --param action=B1-1/2.1
 --   answers supervisor/B1 in 3 records, supervisor/C1 in 4 records, none of them while off shift
 -- Parameters: run: run = all, action: action = all
@@ -16,7 +16,7 @@ WITH shifts AS (
     FROM supervision_events
     WHERE type IN ('SupervisorLeft.v1', 'SupervisorReturned.v1')
     UNION ALL
-    SELECT run_id, -1 AS seq, name AS supervisor, TRUE AS is_off -- who returns without having left was away before
+    SELECT run_id, -1 AS seq, name AS supervisor, TRUE AS is_off -- one that returns without having left was away before
     FROM begun_before
     WHERE what = 'absence'
 ),

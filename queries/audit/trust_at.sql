@@ -1,12 +1,12 @@
 -- Title: The trust in force at a time
 -- Paper: eq:trust
--- Grain: one row per run, ordered pair of robots and entry about it that had been set by then; asked about a capability
---   or context, only the one that holds
+-- Grain: one row per run, ordered pair of robots and entry about it that had been set by then; with a capability or
+--   context as parameter, only the entry that holds
 -- Key: run_id, robot, peer, role?, peer_role?, domain?, capability?, context?
 -- Units: since_us (not before both were members), until_us microseconds of run time, half-open; at seconds, by default
 --   after the end of every run
 -- NULL: role, peer_role, domain of an entry about the very pair; capability, context when the entry is about all of
---   them; until_us when it was not set again; set_by for what the fleet was founded with; a pair without a row had no
+--   them; until_us when it was not set again; set_by for initial settings of the fleet; a pair without a row had no
 --   trust
 -- Example: fsar-ledger query audit/trust_at LEDGER --param run=RUN --param robot=robot/B1 --param peer=robot/A1
 --   --param at=30
@@ -15,7 +15,7 @@
 -- Parameters: run: run = all, robot: robot = all, peer: robot = all, capability: capability = all,
 --   context: context = all, at: time = end
 WITH peers AS (
-    -- DuckDB cannot copy the plan of a function of two columns of one name, as a macro needs.
+    -- DuckDB cannot copy the plan of a function of two columns with the same name, which a macro requires.
     SELECT run_id, seq, robot, joined_us AS peer_joined_us
     FROM trust_parties
     WHERE NOT is_trusting

@@ -1,9 +1,9 @@
 -- Title: Executions without an approval although a review was in force
 -- Paper: eq:policy, sec:evaluation:metrics (policy violations)
--- Grain: one row per execution or motion that began in a review and had no earlier approval of its action
+-- Grain: one row per execution or motion that began under review and had no earlier approval of its action
 -- Key: run_id, seq
 -- Units: started_us, called_us microseconds of run time
--- NULL: action_id and on_behalf_of for a motion; called_us when no call to review it is on record before
+-- NULL: action_id and on_behalf_of for a motion; called_us when no earlier call to review it is on record
 -- Example: fsar-ledger query audit/unapproved_executions LEDGER --param run=RUN
 --   answers A1-1/4.1 by robot/B1 for robot/A1 at 31.013 s, and nobody had been asked
 -- Parameters: run: run = all

@@ -1,8 +1,8 @@
--- Title: The unattributed records of a run, by kind, and which principal each kind lacks
+-- Title: The unattributed records of a run, by kind, and the principals they lack
 -- Paper: sec:evaluation:metrics (audit attributability), sec:model:invariants (I5)
--- Grain: one row per run and kind of record of which some record is not attributable
+-- Grain: one row per run and kind of record with at least one unattributable record
 -- Key: run_id, record_kind
--- Units: records, and those of them that lack a principal, also by way of their action
+-- Units: records of the kind, and those of them that lack a principal, even by way of their action
 -- NULL: never
 -- Example: fsar-ledger query audit/unattributed_records LEDGER --param run=RUN
 --   answers handoff: 92 of 92 records; 92 lack the requester, none the executor, 5 the supervisor

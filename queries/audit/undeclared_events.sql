@@ -1,15 +1,15 @@
 -- Title: Events that contradict what their run says it observes
 -- Paper: sec:evaluation:metrics
--- Grain: one row per event of a concern that its run neither observes nor records types of, and per concern that a run
---   observes and nobody knows
+-- Grain: one row per event of a concern that its run neither observes nor records types of, and per unknown concern
+--   that a run declares
 -- Key: run_id, seq?, concern
 -- Units: none
--- NULL: seq, type of a concern that nobody knows
+-- NULL: seq, type of an unknown concern
 -- Example: fsar-ledger query audit/undeclared_events LEDGER
 --   answers nothing for a ledger that verifies; else run, seq and concern of each event that its run says it does not
 --   observe
--- A reader of such a run is told that these things were not observed, and then meets some: either the declaration is
--- wrong or the events are. Who records a type says so of its concern, as `verify` has it.
+-- The run tells its reader that these things were not observed, yet has events of them: either the declaration or the
+-- events are wrong. Recording a type counts as declaring its concern, as in `verify`.
 WITH recorded AS (
     SELECT
         run_id,

@@ -1,12 +1,12 @@
--- Title: Case 1, request by request: which requests without trust discovered a capability that was not visible to them,
---   were put to a robot, were executed
+-- Title: Case 1, request by request: which untrusted requests discovered a capability not visible to them, were sent to
+--   a robot, were executed
 -- Paper: sec:evaluation:qualitative (case 1)
--- Grain: one row per claim and injected request of the scenario of which the record says what came of it
+-- Grain: one row per claim and injected request of the scenario whose outcome is on record
 -- Key: run_id, claim, seq
 -- Units: counted 1 or 0; seq the injection, evidence the event that makes it count, positions in the run
 -- NULL: never; evidence is empty where it does not count
 -- Example: fsar-ledger query cases/case_1_evidence LEDGER
--- A requester that puts a request to somebody has found whom to ask, whatever the registry was asked.
+-- A requester that sends a request has found a recipient, whatever it asked of the registry.
 WITH injected AS (
     SELECT outsiders.run_id, outsiders.seq, outsiders.task_id AS action_id
     FROM outsider_request_injected AS outsiders

@@ -1,5 +1,5 @@
--- Title: Case 1: robot D, without trust, could not discover the capability in the registry; a nested query of DHMA's
---   agents found it, and delegated
+-- Title: Case 1: robot D, without trust, could not discover the capability in the registry; a nested query by DHMA's
+--   agents found it and delegated
 -- Paper: sec:evaluation:qualitative (case 1)
 -- Grain: one row per claim of the case, architecture, configuration, seed and setting, as in case_claims
 -- Key: claim, architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?

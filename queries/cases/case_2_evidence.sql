@@ -1,13 +1,13 @@
--- Title: Case 2, run by run: whether the robot contains its failures, hands them over at once or disputes who recovers
+-- Title: Case 2, run by run: whether robots contain their failures, escalate them at once, or dispute who recovers
 -- Paper: sec:evaluation:qualitative (case 2), sec:model:recovery
 -- Grain: one row per claim and run of the scenario with a failure; the claims on degradation look only at failures of
 --   worn actuators of robots of role D
 -- Key: run_id, claim
--- Units: counted 1 or 0; seq the first failure, evidence where it counts the failures, for a loop the claims and the
+-- Units: counted 1 or 0; seq the first failure; evidence the failures counted, or for a loop the claims and the
 --   escalation: positions in the run
 -- NULL: never
 -- Example: fsar-ledger query cases/case_2_evidence LEDGER
--- A loop: two agents claim at once to override the failed action, one of them recovers it, then it escalates (R46).
+-- A loop: two agents claim override of the failed action at once, one of them recovers it, then it escalates (R46).
 WITH told AS (
     SELECT
         failures.run_id, failures.seq, failures.action_id, failures.failure,

@@ -1,5 +1,5 @@
--- Title: Case 2: under FSAR D's failure was contained by local recovery, under CFC escalated at once, under DHMA
---   disputed and escalated then
+-- Title: Case 2: D's failure was contained by local recovery under FSAR, escalated at once under CFC, disputed, then
+--   escalated, under DHMA
 -- Paper: sec:evaluation:qualitative (case 2)
 -- Grain: one row per claim of the case, architecture, configuration, seed and setting, as in case_claims
 -- Key: claim, architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?

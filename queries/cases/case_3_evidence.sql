@@ -7,7 +7,7 @@
 --   made the conflicts, and for H_F the calls: positions in the run
 -- NULL: never; evidence is empty where nothing is counted
 -- Example: fsar-ledger query cases/case_3_evidence LEDGER
--- A step is open until its task turns to another or ends. Conflicts that the other task has no part in count, too
+-- A step is open until its task moves to another or ends. Conflicts that do not involve the other task count, too
 -- (R46).
 WITH turns AS (
     SELECT
@@ -27,7 +27,7 @@ wanted AS (
 ),
 
 contended AS (
-    -- A task has one open step at a time, so these are of two.
+    -- A task has one open step at a time, so these belong to two tasks.
     SELECT
         later.run_id,
         min(later.seq) AS seq
@@ -51,7 +51,7 @@ found AS (
 ),
 
 sorted AS (
-    -- A call to order two requests is about who executes.
+    -- A call to order two requests is about execution authority.
     SELECT
         run_id,
         unnest(if(dimension = 'execution', ['conflicts', 'conflicts over execution'], ['conflicts'])) AS claim,

@@ -1,5 +1,5 @@
--- Title: Case 4: of a handoff from A to D FSAR records each event with its principals, CFC leaves some unattributed,
---   DHMA adds internal ones
+-- Title: Case 4: for a handoff from A to D, FSAR records all events with principals, CFC leaves some unattributed, DHMA
+--   adds internal ones
 -- Paper: sec:evaluation:qualitative (case 4)
 -- Grain: one row per claim of the case, architecture, configuration, seed and setting, as in case_claims
 -- Key: claim, architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?

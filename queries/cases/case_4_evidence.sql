@@ -1,15 +1,14 @@
--- Title: Case 4, handoff by handoff: coordination events from the gap to the result, those that no principal can be
---   named for, and internal messages
+-- Title: Case 4, handoff by handoff: coordination events from the gap to the result, those not attributable, and
+--   internal messages
 -- Paper: sec:evaluation:qualitative (case 4), sec:evaluation:metrics (audit attributability)
 -- Grain: one row per claim and handoff of the scenario: an action that a robot of role A asks one of role D to do and
 --   whose execution has ended
 -- Key: run_id, claim, seq
--- Units: counted coordination events; seq where the step began, evidence the events that are counted: positions in the
---   run
+-- Units: counted coordination events; seq the beginning of the step, evidence the events counted: positions in the run
 -- NULL: never; evidence is empty where nothing is counted
 -- Example: fsar-ledger query cases/case_4_evidence LEDGER
--- A record belongs to the action that it names, else to that of its nearest cause that names one. The chain of the
--- paper ends with the result and knows no disturbance: records of failures and of new plans are not counted (R46).
+-- A record belongs to the action that it names, else to that of its nearest cause that names one. The paper's chain
+-- ends with the result and has no disturbances: records of failures and of new plans are not counted (R46).
 WITH RECURSIVE handoffs AS (
     SELECT
         begun.run_id, begun.action_id,

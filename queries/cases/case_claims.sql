@@ -1,13 +1,13 @@
--- Title: The claims of the paper's four cases, and the number of each
+-- Title: The claims of the paper's four cases, and their numbers
 -- Paper: sec:evaluation:qualitative
 -- Grain: one row per claim, architecture, configuration, seed and setting (kind, source, model version, constants,
 --   fleet size): runs of different ones are never in one row
 -- Key: claim, architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?
 -- Units: numerator what is counted, denominator of how many, as of_how_many says; value their ratio: a share of runs or
---   requests, or conflicts a run, or events a handoff; runs of the scenario, runs_with_case those with a case,
---   runs_not_observed those of which it cannot be told, counted nowhere else
+--   requests, conflicts per run, or events per handoff; runs of the scenario, runs_with_case those with a case,
+--   runs_not_observed those for which the claim is not observable, counted nowhere else
 -- NULL: value where no case arose; numerator and denominator where no run of the scenario observes what the claim rests
---   on; what the runs do not have
+--   on; dimensions that the runs do not have
 -- Example: fsar-ledger query cases/case_claims LEDGER
 WITH judged AS (
     SELECT

@@ -1,10 +1,9 @@
--- Title: The claims of the paper's four cases: in which scenario each is made, and what is counted of how many
+-- Title: The claims of the paper's four cases: the scenario of each, what is counted, and of how many
 -- Paper: sec:evaluation:qualitative
 -- Grain: one row per claim
 -- Key: claim
 -- Units: position counts from 1
--- NULL: never; is_taken is whether the claim is read in the way that is taken; the others say what else it could mean
---   (R46)
+-- NULL: never; is_taken is whether the claim has the reading that we use; the others are alternatives (R46)
 -- Example: fsar-ledger query cases/case_definitions LEDGER
 WITH cases (case_number, scenario, judge) AS (
     VALUES

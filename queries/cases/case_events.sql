@@ -1,12 +1,11 @@
 -- Title: The events behind the numbers of the four cases, for `explain` and `prove`
 -- Paper: sec:evaluation:qualitative
--- Grain: one row per claim, item that may count (request, run, handoff) and event that makes it count; one row where
---   none does
+-- Grain: one row per claim, item (request, run, handoff) and event that makes it count; one row for an item that does
+--   not count
 -- Key: run_id, claim, case_seq, seq?
 -- Units: counted how much the item adds to the numerator; case_seq the event with which the item began, seq the event
 --   that makes it count, positions in the run
--- NULL: seq, type where nothing is counted; action_id, that of the event, else that of the item, where neither names
---   one
+-- NULL: seq, type where nothing is counted; action_id (the event's, else the item's) where neither names one
 -- Example: fsar-ledger query cases/case_events LEDGER --param number=3 --param architecture=cfc
 -- Parameters: number: case = all, claim: claim = all, architecture: architecture = all, run: run = all
 WITH asked AS (

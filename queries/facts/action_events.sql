@@ -1,4 +1,4 @@
--- Title: Events, and the actions that each is about, also those that only its cause or its effect names
+-- Title: Events and the actions they are about, including actions named only by a cause or an effect
 -- Paper: sec:evaluation:metrics (audit attributability)
 -- Grain: one row per event and action that it is about
 -- Key: run_id, seq, action_id
@@ -13,7 +13,7 @@ UNION
 SELECT run_id, seq, action_id FROM denied_actions
 WHERE action_id IS NOT NULL
 UNION
--- An own step that names no action is about the action of what it caused.
+-- An own step that names no action is about the action of its effect.
 SELECT decided.run_id, decided.seq, caused.action_id
 FROM own_step_decided AS decided
 INNER JOIN keyed_events AS caused ON decided.run_id = caused.run_id AND decided.seq = caused.caused_by

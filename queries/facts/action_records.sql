@@ -1,11 +1,12 @@
--- Title: What the records of each action tell: who asked, allowed, acted and supervised, and what came of it
+-- Title: The record of each action: who asked, allowed, acted and supervised, and the result
 -- Paper: eq:request, eq:auth, sec:model:invariants (I5)
 -- Grain: one row per action that a record names, or that a denial is about by its cause
 -- Key: run_id, action_id
--- Units: began_us, ended_us, withdrawn_us microseconds of run time; begun_seq of the last command, acceptance, queueing
---   or start; refused_seq, result_seq of the last refusal, result after it; withdrawn_seq; offered_seq of the first
--- NULL: what no record of the action tells; failures when none is on record and the run does not observe recovery,
---   state when it does not observe execution and request; withdrawn_us unless the state is withdrawn
+-- Units: began_us, ended_us, withdrawn_us microseconds of run time; begun_seq the last command, acceptance, queueing or
+--   start; refused_seq, result_seq the last refusal, result after it; withdrawn_seq the last withdrawal; offered_seq
+--   the first query with candidates
+-- NULL: values that no record of the action gives; failures when none is on record and the run does not observe
+--   recovery, state when it does not observe execution and request; withdrawn_us unless the state is withdrawn
 -- Example: fsar-ledger query facts/action_records LEDGER
 -- Stored: requests, interventions and denials read it
 WITH records AS (
@@ -16,8 +17,8 @@ WITH records AS (
         max(told.seq) FILTER (
             events.type IN ('CommandIssued.v1', 'RequestAccepted.v1', 'ExecutionQueued.v1', 'ExecutionStarted.v1')
         ) OVER (PARTITION BY told.run_id, told.action_id) AS begun_seq,
-        told.seq > coalesce(begun_seq, -1) AS is_last, -- what begins again goes on
-        -- What a robot failed to do while it was alone is still to be done.
+        told.seq > coalesce(begun_seq, -1) AS is_last, -- an action that begins again is not over
+        -- An action that an isolated robot failed to complete is still to be done.
         is_last AND events.type IN ('ExecutionFinished.v1', 'RequestClosed.v1')
         OR (is_last AND events.type = 'IsolatedResultAccepted.v1' AND events.result = 'success') AS is_end,
         is_last AND events.type IN ('RequestDenied.v1', 'RequestUnanswered.v1') AS is_refusal

@@ -1,15 +1,15 @@
 -- Title: Actions of other systems that were under way when their record began
 -- Paper: sec:architecture:invariants (A5)
--- Grain: one row per action of a foreign run that no event on record begins, and of whose task no arrival is on record
+-- Grain: one row per action of a foreign run without a recorded beginning and without a recorded arrival of its task
 -- Key: run_id, action_id
 -- Units: failed_seq position in the run of its first failure on record; own_starts, starts_for_others executions that
 --   a robot started for itself, and for another one
--- NULL: failed_seq where none is
+-- NULL: failed_seq without a failure
 -- Example: fsar-ledger query facts/actions_under_way LEDGER
 -- Stored: three invariants and the count of their cases read it
--- Partial: what it says of a run does not depend on others
--- What asked for them and allowed them came before the record, so its absence is no offence. A source that records no
--- arrivals cannot tell them from actions that nobody had asked for.
+-- Partial: the rows of a run do not depend on other runs
+-- Their requests and permissions came before the record, so the absence of these is no offence. Where a source records
+-- no arrivals, such actions cannot be told from actions that nobody requested.
 WITH recording AS (
     SELECT runs.run_id
     FROM run_started AS runs

@@ -1,11 +1,11 @@
--- Title: What robots did as members that they were not: after they departed, or under an old fencing number
+-- Title: Acts of robots that were not members: after their departure, or under an old fencing number
 -- Paper: sec:discussion:heterogeneity, eq:auth
--- Grain: one row per event by which a robot takes, begins or goes on with work for the fleet after it departed and
---   before it returned or joined anew, which gives it no number; and per claim of a robot that has returned under a
---   smaller number than its departures until then
+-- Grain: one row per event by which a robot takes, begins or goes on with work for the fleet between its departure and
+--   its return or new joining (a new joining gives it no number); and per claim of a returned robot under a smaller
+--   number than its departures until then
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time; fence the number of the claim, 0 where it has none; departures until then
--- NULL: action_id where the record names none; fence of what is no claim
+-- NULL: action_id where the record names none; fence of acts other than claims
 -- Example: fsar-ledger query facts/acts_of_departed LEDGER
 WITH acts AS (
     SELECT run_id, seq, time_us, 'RequestAccepted.v1' AS type, action_id, decided_by AS robot, NULL AS fence

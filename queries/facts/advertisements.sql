@@ -1,11 +1,11 @@
--- Title: Capabilities that robots advertise: on which terms and during which periods
+-- Title: Capabilities that robots advertise: the terms and the periods
 -- Paper: eq:adv, sec:architecture:registry
--- Grain: one row per run, robot, capability and period in which its advertisement stood unchanged; no row while it is
---   not advertised
+-- Grain: one row per run, robot, capability and period without a change of its advertisement; no row while it is not
+--   advertised
 -- Key: run_id, robot, capability, since_seq
 -- Units: since_us, until_us microseconds of run time, half-open; since_seq the event that began the period
--- NULL: until_us and until_seq for what stands to the end of the run; successor unless a deprecation names one;
---   availability when the run does not record how it changes
+-- NULL: until_us and until_seq for an advertisement that stands to the end of the run; successor unless a deprecation
+--   names one; availability when the run does not record its changes
 -- Example: fsar-ledger query facts/advertisements LEDGER
 WITH offered AS (
     SELECT DISTINCT run_id, robot, capability
@@ -13,7 +13,7 @@ WITH offered AS (
 ),
 
 changes AS (
-    -- A report of availability without a capability is about all that the robot advertises.
+    -- A report of availability without a capability is about everything that the robot advertises.
     SELECT
         events.run_id, events.seq, events.time_us, events.type, events.availability, events.embodiment,
         events.override_allowed, events.policy_required, events.postconditions, events.preconditions, events.resources,

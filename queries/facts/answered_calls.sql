@@ -1,11 +1,11 @@
--- Title: Which call each answer of a supervisor answers
+-- Title: The call behind each answer of a supervisor
 -- Paper: eq:supervision
--- Grain: one row per SupervisorResponded event before which somebody was called for the same action and purpose
+-- Grain: one row per SupervisorResponded event with an earlier call for the same action and purpose
 -- Key: run_id, seq
 -- Units: seq, called_seq positions in the run of the answer and of the call; called_us microseconds of run time
 -- NULL: never
 -- Example: fsar-ledger query facts/answered_calls LEDGER
--- No record says it outright: it is the last call of whoever answers, else the last call of anybody.
+-- No record names the call: it is the last call to the supervisor that answers, else the last call to any.
 WITH matched AS (
     SELECT
         answers.run_id, answers.seq,

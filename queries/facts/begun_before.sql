@@ -1,12 +1,12 @@
--- Title: Policy windows, claims and absences that the record of another system ends, and that began before it; and
---   robots that it lets join again under another supervisor than before
+-- Title: Policy windows, claims and absences ended by the record of another system but begun before it; and robots that
+--   it lets join again under another supervisor
 -- Paper: eq:policy, eq:auth, eq:supervision
--- Grain: one row per foreign run and window that closes, claim that is released, or supervisor who returns, without
---   having opened, been made or left; and per robot whose supervisor is not the same each time that it joins
+-- Grain: one row per foreign run and window closed, claim released or supervisor returned without a recorded opening,
+--   claim or leaving; and per robot whose supervisor is not the same at each joining
 -- Key: run_id, what, robot?, scope?, name?
 -- Units: until_us microseconds of run time, when the window closes, the claim is released, the supervisor returns, or
---   the robot joins last; of a claim robot is its claimant, scope its dimension, name its action
--- NULL: robot, scope for a supervisor who returns; scope, name for one of a robot that joins
+--   the robot last joins; of a claim robot is its claimant, scope its dimension, name its action
+-- NULL: robot, scope for a returning supervisor; scope, name for a robot that joins
 -- Example: fsar-ledger query facts/begun_before LEDGER
 SELECT
     closed.run_id, 'window' AS what, closed.robot, closed.scope, closed."window" AS name,
@@ -46,7 +46,7 @@ ANTI JOIN supervisor_left AS gone
     ON returned.run_id = gone.run_id AND returned.supervisor = gone.supervisor AND returned.seq > gone.seq
 GROUP BY ALL
 UNION ALL
--- Facts know a robot's last supervisor alone (facts/fleet_members).
+-- Facts have only a robot's last supervisor (facts/fleet_members).
 SELECT
     joined.run_id, 'supervisor' AS what, joined.robot,
     NULL AS scope,

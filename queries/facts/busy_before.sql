@@ -1,10 +1,10 @@
--- Title: Until when a robot of another system may have been off, or had work in hand, since before its record
+-- Title: Until when a robot of another system may have been off or busy since before its record
 -- Paper: sec:evaluation:simulator (robot state)
--- Grain: one row per robot of a foreign run that comes back, or of which the record goes on or ends with an action,
---   recovers from a failure or ends help, without that a beginning of it is on record before
+-- Grain: one row per robot of a foreign run that comes back, or whose record continues or ends an action, recovers from
+--   a failure or ends help, without a recorded beginning of it
 -- Key: run_id, robot
--- Units: until_us microseconds of run time, half-open: from then on the record tells what became of it; the greatest
---   number there is if it never does
+-- Units: until_us microseconds of run time, half-open: the record gives its state from then on; the greatest BIGINT if
+--   it never does
 -- NULL: never
 -- Example: fsar-ledger query facts/busy_before LEDGER
 WITH told AS (

@@ -1,13 +1,13 @@
--- Title: What a judge of later events may still need of a run, so that a run of years can be judged part by part
+-- Title: The events of a run needed to judge later ones, so that a run of years can be judged part by part
 -- Paper: sec:evaluation:metrics
--- Grain: one row per event that later ones may meet
+-- Grain: one row per event that later events may refer to
 -- Key: run_id, seq
 -- Units: has_begun whether the arrival of the event's task is on record
 -- NULL: has_begun of an event that is about no task and no action
 -- Example: fsar-ledger query facts/carried_events LEDGER
--- A task is over when it was completed or given up, no authority for it is held, and nobody is at work on it. Before
--- `since` no task began that is not over: what ended before it meets nothing later. Of what belongs to no task, a
--- robot's routine and what no judge reads are left out. The last event, which ends the record, has its task carried.
+-- A task is over when it was completed or given up, no authority for it is held, and no robot works on it. All tasks
+-- that began before `since` are over, and left out if they ended before it. Of events of no task, earlier routine
+-- operations and types that no judge reads are left out. The last event, which ends the record, brings its task along.
 WITH tasks AS (
     SELECT run_id, action_id, min(task_id) AS task_id
     FROM event_principals

@@ -1,9 +1,9 @@
 -- Title: What a record leaves open, so that a metric cannot count it
 -- Paper: sec:evaluation:metrics
--- Grain: one row per run of another system and judge of what is open in it
+-- Grain: one row per run of another system and judge that its open records affect
 -- Key: run_id, judge
 -- Units: none
--- NULL: never; hides_offences tells whether what would be an offence may be none
+-- NULL: never; hides_offences is whether apparent offences may be none
 -- Example: fsar-ledger query facts/censored LEDGER
 WITH foreign_runs AS (
     SELECT run_id FROM runs
@@ -44,7 +44,7 @@ left_open AS (
     FROM open_work
     SEMI JOIN foreign_runs ON open_work.run_id = foreign_runs.run_id
     UNION ALL
-    -- What arrives twice may be one task or two, what was completed before, another; without a budget nothing is late.
+    -- Two arrivals may be one task or two; one completed before it arrived is another; without a budget none is late.
     SELECT arrived.run_id, if(count(*) > count(arrived.budget_us), 'budget', 'task') AS what
     FROM task_arrived AS arrived
     SEMI JOIN foreign_runs ON arrived.run_id = foreign_runs.run_id
@@ -52,14 +52,14 @@ left_open AS (
     GROUP BY arrived.run_id, arrived.task_id
     HAVING what = 'budget' OR count(DISTINCT arrived.seq) > 1 OR min(done.time_us) < min(arrived.time_us)
     UNION ALL
-    -- What fails twice under one number may be one failure or two.
+    -- Two failures with the same number may be one failure or two.
     SELECT run_id, 'failure' AS what
     FROM execution_failed AS failed
     SEMI JOIN foreign_runs ON failed.run_id = foreign_runs.run_id
     GROUP BY run_id, action_id, failure
     HAVING count(*) > 1
     UNION ALL
-    -- Who supervises no robot may supervise the fleet. One call that names the fleet's supervisor decides the metric.
+    -- A supervisor of no robot may be the fleet's. One call that names the fleet's supervisor decides the metric.
     SELECT called.run_id, 'supervisor' AS what
     FROM supervisor_called AS called
     SEMI JOIN foreign_runs ON called.run_id = foreign_runs.run_id

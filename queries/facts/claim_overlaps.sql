@@ -1,8 +1,8 @@
--- Title: Overlaps of claims: two principals that hold the same dimension of authority over one action at once
+-- Title: Overlapping claims: two principals that hold the same dimension of authority over one action at once
 -- Paper: eq:auth, sec:evaluation:metrics (authority conflicts)
 -- Grain: one row per pair of claims (held_claims) that overlap
 -- Key: run_id, one_seq, other_seq
--- Units: from_us, until_us microseconds of run time, half-open; later_seq the claim of the two that began the overlap
+-- Units: from_us, until_us microseconds of run time, half-open; later_seq the later claim of the two
 -- NULL: until_us when neither claim was released
 -- Example: fsar-ledger query facts/claim_overlaps LEDGER
 SELECT

@@ -14,7 +14,7 @@ WITH edges AS (
 paired AS (
     SELECT
         run_id, seq, time_us, type, task_id, action_id, dimension, claimant, reason,
-        -- The first later release, whatever claims lie between: a claim that is repeated ends with the one before it.
+        -- The first later release, regardless of claims in between: a repeated claim ends with the one before it.
         first_value(CASE WHEN type = 'AuthorityReleased.v1' THEN time_us END IGNORE NULLS) OVER (
             PARTITION BY run_id, action_id, dimension, claimant, reason
             ORDER BY seq
@@ -28,7 +28,7 @@ SELECT
     paired.time_us AS began_us,
     least(paired.ended_us, departed.time_us) AS ended_us
 FROM paired
--- Who leaves the fleet gives up what it holds, also where no release is on record.
+-- A robot that leaves the fleet gives up its claims, even where no release is on record.
 ASOF LEFT JOIN robot_departed AS departed
     ON paired.run_id = departed.run_id AND paired.claimant = departed.robot AND paired.seq < departed.seq
 WHERE paired.type = 'AuthorityClaimed.v1'

@@ -1,10 +1,9 @@
--- Title: Calls to a supervisor to order two actions, and the answers, as seen from the competing action
+-- Title: Calls to a supervisor to order two actions, and the answers, by competing action
 -- Paper: sec:prototype:workflows (Workflow 3), eq:supervision
 -- Grain: one row per SupervisorCalled event that names a competing action, and per answer to it
 -- Key: run_id, seq, action_id
 -- Units: none
--- NULL: never; action_id is the competing action, while the event itself names the action for which the supervisor was
---   called
+-- NULL: never; action_id is the competing action; the event itself names the action for which the supervisor was called
 -- Example: fsar-ledger query facts/competing_calls LEDGER
 WITH calls AS (
     SELECT run_id, seq, action_id AS called_for, competing AS action_id

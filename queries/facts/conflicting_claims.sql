@@ -1,10 +1,10 @@
--- Title: The claims that make each authority conflict: held at once by distinct principals
+-- Title: The claims in each authority conflict, held at once by distinct principals
 -- Paper: sec:evaluation:metrics (authority conflict)
 -- Grain: one row per conflict (conflicts)
 -- Key: run_id, action_id, dimension
 -- Units: began_us microseconds of run time, when the first overlap begins; seq position in the run of the claim that
---   begins it, claim_seqs those of all claims that overlap
--- NULL: never; claimants are all who hold one of them
+--   begins it, claim_seqs those of all overlapping claims
+-- NULL: never; claimants are all principals that hold one of them
 -- Example: fsar-ledger query facts/conflicting_claims LEDGER
 WITH pairs AS (
     SELECT

@@ -6,7 +6,7 @@
 -- NULL: never
 -- Example: fsar-ledger query facts/conflicts LEDGER
 WITH swept AS (
-    -- Ordered by beginning, each claim beside the earlier one that lasts longest. If that is the claimant's own,
+    -- Ordered by beginning, each claim beside the earlier one that lasts longest. If both have the same claimant,
     -- either no other claim holds or a conflict has begun before.
     SELECT
         run_id, action_id, dimension, claimant, began_us,

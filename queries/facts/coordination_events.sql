@@ -1,12 +1,12 @@
--- Title: Coordination events, and the principals that an auditor can recover from each
+-- Title: Coordination events, and the principals that can be recovered from each
 -- Paper: sec:evaluation:metrics (audit attributability)
 -- Grain: one row per event of a coordination type
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: decided_by, or a principal, that the row itself does not record; action_id when the record is not correlated
 --   with an action; part_of when it names no robot
--- A supervisor is the robot's own where it has one, else H_F. While a robot's own is recorded as absent
--- (is_off_shift), no record names anybody, and the owner can be recovered from the record of the absence (R8).
+-- The supervisor is the robot's own where it has one, else H_F. While the own supervisor is recorded as absent
+-- (is_off_shift), no record names one, and the owner can be recovered from the record of the absence (R8).
 -- Example: fsar-ledger query facts/coordination_events LEDGER
 WITH classified AS (
     SELECT

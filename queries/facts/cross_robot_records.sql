@@ -1,13 +1,13 @@
--- Title: Starts and ends of executions for another robot, and who began what ends
+-- Title: Starts and ends of executions for another robot, and who began each
 -- Paper: sec:architecture:invariants (A5), eq:request
--- Grain: one row per start for another robot, and per end of an execution that was started for another robot, or by
---   another one than ends it; without actions that were under way when the record began
+-- Grain: one row per start for another robot, and per end of an execution that was started for another robot or by
+--   another robot than ends it; without actions that were under way when the record began
 -- Key: run_id, seq
--- Units: time_us microseconds of run time; next_seq position of the next step or end of its task
+-- Units: time_us microseconds of run time; next_seq position of the task's next step or end
 -- NULL: principals that the record does not name; began_by, on_behalf_of of an end without a start; next_seq and
---   is_given_up of a start, and where nothing follows
+--   is_given_up of a start, and of an end that no step or end of the task follows
 -- Example: fsar-ledger query facts/cross_robot_records LEDGER
--- Stored: audit reads it for two invariants or more
+-- Stored: several invariants of an audit read it
 WITH turns AS (
     SELECT run_id, seq, action_id, robot, type IN ('ExecutionStarted.v1', 'ExecutionResumed.v1') AS is_begun
     FROM event_principals
@@ -18,7 +18,7 @@ WITH turns AS (
         )
 ),
 
--- A robot that has begun, and that nobody took the action from, ends its own execution, whoever began beside it.
+-- A robot that began, and from which the action was not taken, ends its own execution, even if others began, too.
 finished AS (
     SELECT
         done.run_id, done.seq, done.time_us, done.task_id, done.action_id, done.requested_by, done.executed_by,
@@ -47,7 +47,7 @@ progress AS (
 ),
 
 ends AS (
-    -- What is not a step of a task, such as a request of a robot's own accord, has no next step that waits for it.
+    -- An action that is no step of a task, such as a request on a robot's own initiative, has no step waiting for it.
     SELECT
         finished.run_id, finished.seq, finished.time_us, finished.action_id, finished.requested_by,
         finished.executed_by, finished.supervised_by, finished.robot, finished.began_by, finished.on_behalf_of,
@@ -57,7 +57,7 @@ ends AS (
     LEFT JOIN steps ON finished.run_id = steps.run_id AND finished.action_id = steps.action_id
     ASOF LEFT JOIN progress AS later
         ON finished.run_id = later.run_id AND finished.task_id = later.task_id AND finished.seq < later.seq
-    -- For whom the robot began it may be unknown.
+    -- The robot on whose behalf it began may be unknown.
     WHERE finished.robot <> finished.on_behalf_of OR finished.robot IS DISTINCT FROM finished.began_by
 )
 

@@ -1,10 +1,10 @@
 -- Title: Decisions, and whether a single principal took each
 -- Paper: sec:evaluation:metrics (governance locality)
--- Grain: one row per event of a decision type whose path is not empty; a standing denial that is looked at again as
---   time passes is not decided again
+-- Grain: one row per event of a decision type whose path is not empty; a standing denial that is checked again as time
+--   passes is not a new decision
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
--- NULL: decided_by when the record names no decider; task_id, action_id when the record is not tied to one
+-- NULL: decided_by when the record names no decider; task_id, action_id when the record belongs to none
 -- Example: fsar-ledger query facts/decisions LEDGER
 WITH decided AS MATERIALIZED (
     SELECT
@@ -22,7 +22,7 @@ denied_tasks AS (
 ),
 
 compared AS (
-    -- To ask again and to admit are decisions, too: then another decision of the task lies between two denials.
+    -- Repeated requests and admissions are decisions, too, and as such separate two denials of the task.
     SELECT
         decided.run_id, decided.seq, decided.decision_kind,
         { 'type': type, 'by': decided_by, 'path': path, 'reason': reason } AS content,

@@ -7,7 +7,7 @@
 --   is_chained: each link through the relay that passed the request on was trusted
 -- Example: fsar-ledger query facts/delegated_trust LEDGER
 WITH delegated AS (
-    -- Trust counts when the executor admitted the request, and where it admitted none, when it started.
+    -- Trust counts at the time of the executor's admission, or of its start where it admitted no request.
     SELECT
         done.run_id, done.seq, done.task_id, done.action_id, done.capability,
         done.robot AS executor,
@@ -36,7 +36,7 @@ links AS (
             END
         ) AS link
     FROM delegated
-    -- The last relay by then: what was relayed before or later belongs to another request for the action.
+    -- The last relay by then: earlier and later relays belong to other requests for the action.
     ASOF LEFT JOIN request_relayed AS relayed
         ON
             delegated.run_id = relayed.run_id AND delegated.action_id = relayed.action_id

@@ -3,9 +3,9 @@
 -- Grain: one row per RequestDenied event
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
--- NULL: action_id when neither the record nor what caused it names one; a principal that the record does not name;
+-- NULL: action_id when neither the record nor its cause names one; a principal that the record does not name;
 --   denied_under, under_seqs (names and positions of windows and rules) when none on record explains the denial; note
---   (of whom it was asked, the windows and rules, through whom, who supervised) when the record names none of these
+--   (the robot asked, the windows and rules, the relay, the supervisor) when the record names none of these
 -- Example: fsar-ledger query facts/denied_actions LEDGER
 -- Stored: requests, messages and denials read it
 WITH RECURSIVE causes AS (

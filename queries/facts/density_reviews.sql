@@ -1,12 +1,12 @@
--- Title: Reviews that were due by the density of supervision, whatever policy said, as facts/policy_grounds has them
+-- Title: Reviews due by the density of supervision regardless of policy, in the form of facts/policy_grounds
 -- Paper: eq:supervision, sec:model:supervision
--- Grain: one row per event of facts/policies_seen at which the next admission of the robot was to be reviewed
+-- Grain: one row per event of facts/policies_seen at which the robot's next admission was due for review
 -- Key: run_id, seq
 -- Units: opened_us, seen_us microseconds of run time; seq, ground_seq positions in the run; review_every admissions
 -- NULL: window_name, scope, capability, context, closed_us, which a density does not have
 -- Example: fsar-ledger query facts/density_reviews LEDGER
 WITH densities AS (
-    -- A density of the robot's own takes precedence over the one for every robot.
+    -- A density set for the robot takes precedence over the one for every robot.
     SELECT
         policies.run_id, policies.seq, policies.decided_seq, policies.robot, policies.decided_us,
         arg_max(sets.seq, (sets.robot IS NOT NULL, sets.seq)) AS ground_seq,

@@ -1,9 +1,9 @@
--- Title: When robots were away from the fleet: from their departure until they returned or joined anew
+-- Title: Absences of robots from the fleet: from departure until they returned or joined anew
 -- Paper: sec:discussion:heterogeneity
--- Grain: one row per RobotDeparted event of a run that tells who returned
+-- Grain: one row per RobotDeparted event of a run that records returns
 -- Key: run_id, robot, since_seq
 -- Units: since_us, until_us microseconds of run time, half-open; since_seq, until_seq the events
--- NULL: until_us and until_seq of a robot that did neither to the end of the run
+-- NULL: until_us and until_seq of a robot that neither returned nor joined anew by the end of the run
 -- Example: fsar-ledger query facts/departed_robots LEDGER
 WITH back AS (
     SELECT run_id, robot, seq, time_us FROM robot_returned

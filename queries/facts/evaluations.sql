@@ -1,4 +1,4 @@
--- Title: How executors, or a relay on the way, answered requests, with what was asked
+-- Title: Answers to requests by executors, or a relay on the way, with the request
 -- Paper: eq:admissible, eq:auth
 -- Grain: one row per RequestAdmitted, RequestDenied or RequestCountered event of an action that was requested before
 -- Key: run_id, seq

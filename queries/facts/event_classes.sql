@@ -1,4 +1,4 @@
--- Title: How each event type counts: as a decision, an audit record or both, and whose part in the action it records
+-- Title: The class of each event type: decision, audit record or both, and whose part in the action it records
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per event type that is a decision or a coordination event
 -- Key: type

@@ -5,7 +5,7 @@
 -- Units: detected_us, resolved_us, left_us microseconds of run time; latency_us microseconds, 0 when recovery leaves
 --   its first level at once
 -- NULL: resolved_level, resolved_us when never resolved; left_us when the first level was never left; latency_us when
---   neither; is_contained when never resolved and the run does not observe recovery
+--   neither occurred; is_contained when never resolved and the run does not observe recovery
 -- Example: fsar-ledger query facts/failures LEDGER
 -- Stored: containment and latency both read it
 WITH resolutions AS (
@@ -36,8 +36,7 @@ SELECT
     coalesce(
         resolutions.resolved_level IN ('local', 'peer'), if(list_contains(runs.observes, 'recovery'), FALSE, NULL)
     ) AS is_contained,
-    -- Every reaction advances the clock by a microsecond (R25): a level that was left at once was left at the
-    -- detection.
+    -- Every reaction advances the clock by a microsecond (R25): a level left at once was left at the detection.
     CASE
         WHEN resolutions.resolved_level = 'local' THEN resolutions.resolved_us
         WHEN departures.left_us = detected.time_us + 1 THEN detected.time_us

@@ -1,10 +1,10 @@
--- Title: Failures of which the record tells in any way, also where it does not tell that they occurred
+-- Title: Failures that any record mentions, even if their occurrence is not recorded
 -- Paper: sec:model:recovery
--- Grain: one row per run, action and number of a failure that a record of recovery names
+-- Grain: one row per run, action and failure number that a record of recovery names
 -- Key: run_id, action_id, failure
 -- Units: detected_us, resolved_us microseconds of run time; seq the first record
--- NULL: robot where the records name none; detected_us when nobody recorded that it occurred, as of
---   one before the record began; resolved_us, resolved_level when never resolved
+-- NULL: robot where the records name none; detected_us when its occurrence is not on record, as for a failure before
+--   the record began; resolved_us, resolved_level when never resolved
 -- Example: fsar-ledger query facts/failures_on_record LEDGER
 SELECT
     run_id, action_id, failure,

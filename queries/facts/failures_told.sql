@@ -1,11 +1,11 @@
--- Title: Until when each failure was its robot's alone
+-- Title: How long only its robot knew of each failure
 -- Paper: sec:model:recovery
 -- Grain: one row per ExecutionFailed event
 -- Key: run_id, seq
 -- Units: known_us microseconds of run time when another principal decides something about the action, a supervisor is
 --   called, or a robot that was asked to help has heard of it; passed_us when the task goes on or is given up;
 --   run_ended_us the time of the last record of a task, a request, recovery or supervision
--- NULL: known_us where nobody else is on record as knowing; passed_us where the task did neither
+-- NULL: known_us where no other principal is recorded as knowing; passed_us where the task did neither
 -- Example: fsar-ledger query facts/failures_told LEDGER
 WITH records AS (
     SELECT

@@ -1,4 +1,4 @@
--- Title: Calls of the fleet supervisor, each an intervention
+-- Title: Calls to the fleet supervisor, each an intervention
 -- Paper: sec:evaluation:metrics (human intervention), eq:supervision
 -- Grain: one row per SupervisorCalled event for H_F
 -- Key: run_id, seq

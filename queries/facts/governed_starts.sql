@@ -3,7 +3,8 @@
 -- Grain: one row per ExecutionStarted event and per RoutinePerformed event whose operation is motion
 -- Key: run_id, seq
 -- Units: started_us microseconds of run time; under_seqs positions in the run of the windows and rules in force then
--- NULL: action_id, on_behalf_of for a motion; outcome, under_seqs, is_approved, is_violation where that is unobserved
+-- NULL: action_id, on_behalf_of for a motion; outcome, under_seqs, is_approved, is_violation where the run does not
+--   observe them
 -- Example: fsar-ledger query facts/governed_starts LEDGER
 -- Stored: three metrics and I3 read it
 WITH starts AS (
@@ -13,7 +14,7 @@ WITH starts AS (
 ),
 
 subjects AS (
-    -- Whose policy counts: the executor's own and the fleet's for its zone, and the requester's own.
+    -- The policies that count: the executor's own, the fleet's for its zone, and the requester's own.
     SELECT
         starts.run_id, starts.seq, starts.task_id, starts.capability,
         starts.robot AS subject,
@@ -29,8 +30,8 @@ subjects AS (
 ),
 
 checks AS (
-    -- What opens or closes at the time of the start comes before it or after it, as the log has it. A rule counts if it
-    -- applies to this capability and context.
+    -- Windows that open or close at the time of the start are ordered as in the log. A rule counts if it applies to
+    -- this capability and context.
     SELECT
         subjects.run_id, subjects.seq,
         bool_or(windows.outcome = 'deny') AS is_denied,
@@ -59,7 +60,7 @@ judged AS (
     FROM starts
     INNER JOIN runs ON starts.run_id = runs.run_id
     LEFT JOIN checks ON starts.run_id = checks.run_id AND starts.seq = checks.seq
-    -- The last answer before the start: a refusal takes an approval back.
+    -- The last answer before the start: a refusal revokes an approval.
     ASOF LEFT JOIN review_answers AS answers
         ON starts.run_id = answers.run_id AND starts.action_id = answers.action_id AND starts.seq > answers.seq
 )

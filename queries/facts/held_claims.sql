@@ -1,4 +1,4 @@
--- Title: Claims that were held for some time: one that ends when it begins is left out
+-- Title: Claims with a duration: a claim that ends when it begins is left out
 -- Paper: sec:evaluation:metrics (authority conflict)
 -- Grain: one row per claim (claims) that names its action, dimension and claimant
 -- Key: run_id, seq

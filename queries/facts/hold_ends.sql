@@ -1,7 +1,7 @@
--- Title: What may end a hold, beside an approval: a closing window of the robot's, a new rule for it, news of the
---   fleet's rule
+-- Title: Events that may end a hold, besides approvals: closed windows of the robot, new rules for it, news of fleet
+--   rules
 -- Paper: eq:policy, sec:architecture:fleet
--- Grain: one row per such event; per robot, where a rule is about several
+-- Grain: one row per such event and robot that it is about
 -- Key: run_id, seq, robot
 -- Units: seq position in the run
 -- NULL: never
@@ -24,5 +24,5 @@ UNION ALL
 SELECT rules.run_id, rules.seq, held.robot
 FROM policy_rule_set AS rules
 INNER JOIN holders AS held
-    -- whether or not it is known to have joined
+    -- even if no record says that it joined
     ON rules.run_id = held.run_id AND coalesce(rules.robot, held.robot) = held.robot

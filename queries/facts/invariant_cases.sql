@@ -1,14 +1,14 @@
 -- Title: How many cases each invariant checked
 -- Paper: sec:model:invariants, sec:architecture:invariants
--- Grain: one row per run and invariant that found anything to judge
+-- Grain: one row per run and invariant with at least one case
 -- Key: run_id, invariant
 -- Units: cases records, decisions, executions or acts of recovery, each judged by the invariant; never fewer than the
---   events that offend it
+--   events that break it
 -- NULL: never; without a row there was nothing to judge, which is no pass
 -- Example: fsar-ledger query facts/invariant_cases LEDGER
--- Stored: audit reads it for each invariant
--- Partial: what it says of a run does not depend on others
-WITH of_types AS ( -- what depends on the type only is judged once a type
+-- Stored: each invariant of an audit reads it
+-- Partial: the rows of a run do not depend on other runs
+WITH of_types AS ( -- conditions on the type alone are evaluated once per type
     SELECT
         run_id, type,
         count(*) AS events,
@@ -56,7 +56,7 @@ judged AS (
     FROM counted
     UNION ALL
     SELECT run_id, 'a4_thin_federation_interface' AS invariant, (level = 'local')::INT AS cases FROM recovery_attempted
-    UNION ALL -- not judged, since what asked for them came before the record
+    UNION ALL -- not judged, since their requests came before the record
     SELECT run_id, 'i2_local_execution_ownership' AS invariant, -starts_for_others AS cases FROM actions_under_way
     UNION ALL
     SELECT run_id, 'a1_local_runtime_self_sufficiency' AS invariant, -own_starts AS cases FROM actions_under_way

@@ -3,8 +3,8 @@
 -- Grain: one row per judge and concern
 -- Key: judge, concern
 -- Units: none
--- NULL: never; is_context tells whether nothing at all can be judged without the concern. Without another one an
---   offence that is found stands, but nothing can be said to hold
+-- NULL: never; is_context is whether nothing can be judged without the concern. Without any other concern an offence
+--   that is found stands, but nothing can be shown to hold
 -- Example: fsar-ledger query facts/judged_concerns LEDGER
 WITH judges (judges, context, looked_at) AS (
     VALUES

@@ -1,9 +1,9 @@
--- Title: The event types and fields that each judgement rests on, of a run that says which of them its source records
+-- Title: The event types and fields that each judgement rests on, for runs that declare which of them they record
 -- Paper: sec:evaluation:metrics, sec:model:invariants, sec:architecture:invariants
 -- Grain: one row per judge and record (an event type without its version, or TYPE.FIELD), and per record beside it
 -- Key: judge, record, beside?
--- Units: none; context would make an offence by its absence, a case (*) is what is judged; A>B: B, where A is recorded
--- NULL: beside where the record is needed always; else it is needed only beside that one, as a field is beside its type
+-- Units: none; the absence of context would make an offence; a case (*) is what is judged; A>B: B, where A is recorded
+-- NULL: beside where the record is always needed; else it is needed only with that one, as a field is with its type
 -- Example: fsar-ledger query facts/judged_records LEDGER
 WITH judges (judges, entries) AS (
     VALUES

@@ -3,11 +3,12 @@
 -- Grain: one row per ExecutionStarted event and per RoutinePerformed event whose operation is motion
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time; denied_seq position in the run
--- NULL: action_id for a motion; denied_seq without a refusal that still stands; outcome but deny unless all is observed
+-- NULL: action_id for a motion; denied_seq without a refusal that still stands; outcome other than deny unless the run
+--   observes all policies involved
 -- Example: fsar-ledger query facts/known_policy LEDGER
 -- Stored: I3 and A3 both read it
 WITH said AS (
-    -- A refusal is that of its robot; one that names no robot is that of all.
+    -- A refusal counts for the robot that it names; one that names no robot counts for all.
     SELECT
         run_id, seq, action_id, type, outcome,
         CASE type WHEN 'RequestDenied.v1' THEN coalesce(
@@ -35,7 +36,7 @@ starts AS (
 ),
 
 outcomes AS (
-    -- The executor knows its own policy, and the fleet's rules, which all know at once, until it starts (R34).
+    -- Until it starts, the executor knows its own policy, and the fleet's rules, which reach all robots at once (R34).
     SELECT starts.run_id, starts.seq, windows.seq AS known_seq, windows.outcome
     FROM starts
     INNER JOIN policy_windows AS windows
@@ -46,12 +47,12 @@ outcomes AS (
             AND (windows.capability IS NULL OR starts.capability = windows.capability)
             AND (windows.context IS NULL OR starts.task_id = windows.context)
     UNION ALL
-    SELECT starts.run_id, starts.seq, rules.seq AS known_seq, rules.outcome -- as the executor had last been told
+    SELECT starts.run_id, starts.seq, rules.seq AS known_seq, rules.outcome -- the last one that the executor was told
     FROM starts
     ASOF JOIN fleet_rule_learned AS rules
         ON starts.run_id = rules.run_id AND starts.robot = rules.robot AND starts.seq > rules.seq
     UNION ALL
-    SELECT starts.run_id, starts.seq, carried.seq AS known_seq, carried.outcome -- the requester's, and that of a relay
+    SELECT starts.run_id, starts.seq, carried.seq AS known_seq, carried.outcome -- the requester's and a relay's
     FROM starts
     INNER JOIN policies_carried AS carried
         ON
@@ -69,7 +70,7 @@ SELECT
     if(starts.denied_seq > greatest(starts.approved_seq, starts.admitted_seq), starts.denied_seq, NULL) AS denied_seq
 FROM starts
 INNER JOIN runs ON starts.run_id = runs.run_id
--- A supervisor approves the reviews known by then, or by the admission that follows; a denial stands all the same.
+-- A supervisor approves the reviews known by then, or by the admission that follows; a denial still stands.
 LEFT JOIN outcomes
     ON
         starts.run_id = outcomes.run_id AND starts.seq = outcomes.seq

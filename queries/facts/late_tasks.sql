@@ -1,14 +1,14 @@
--- Title: Tasks that are not completed within their budget, and what held each up
+-- Title: Tasks not completed within their budget, and what held each up
 -- Paper: sec:evaluation:metrics (coordination success)
 -- Grain: one row per TaskArrived event whose task is completed later than its budget allows, given up, or never ended;
---   not one that another system still had time for where its record stops, or of which that does not tell the end
+--   except tasks of another system that still had time when its record stopped, or whose ends it does not record
 -- Key: run_id, arrived_seq
 -- Units: due_us, ended_us microseconds of run time; arrived_seq, ended_seq and held_up_seqs positions in the run, the
 --   last of the refusals, unanswered requests, holds and failures of the task's actions
 -- NULL: ended_us, ended_seq, is_completed of a task that never ended; due_us of a budget longer than any run, or of a
---   task whose budget is not on record; completed, such a task is not here, since nothing says that it was late
+--   task whose budget is not on record; a completed task of that kind has no row, since no record makes it late
 -- Example: fsar-ledger query facts/late_tasks LEDGER
--- A name that comes again is another task: what is told of it is of the arrival before.
+-- A repeated name is another task: its records belong to the last arrival before them.
 WITH arrivals AS (
     SELECT
         run_id, task_id, seq, time_us, budget_us,
@@ -39,7 +39,7 @@ told AS (
     GROUP BY arrivals.run_id, arrivals.seq
 ),
 
--- Where a recorder was opened again it had stopped before; time_us is NULL where the end of a task is not recorded.
+-- A recorder that was opened again had stopped before; time_us is NULL where ends of tasks are not recorded.
 stops AS (
     SELECT
         events.run_id, events.seq,

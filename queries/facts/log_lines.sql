@@ -1,14 +1,13 @@
--- Title: Every event as a line that people read: when, who tells whom what or does what, and what the record adds
+-- Title: Every event as a readable line: when, who tells whom what or does what, and details from the record
 -- Paper: sec:evaluation:metrics (audit attributability)
 -- Grain: one row per event
 -- Key: run_id, seq
 -- Units: time_s seconds of run time; clock the time in UTC
--- NULL: clock of a run that does not know when it began; concern of an event that says what a run or an experiment is;
---   action_id when the record names none; sender, receiver when the record does not say; note when there is nothing to
---   add
+-- NULL: clock of a run whose start is unknown; concern of an event that describes a run or an experiment; action_id
+--   when the record names none; sender, receiver when the record does not name them; note when there is nothing to add
 -- Example: fsar-ledger query facts/log_lines LEDGER
--- A robot's own deed, or what befalls it, has the robot as sender and receiver. A registry's answer is in the note of
--- the question.
+-- A robot's own deed, and anything that happens to a robot, has the robot as sender and receiver. A registry's answer
+-- is in the note of the question.
 WITH told AS (
     SELECT
         run_id, seq, time_us, type, action_id,

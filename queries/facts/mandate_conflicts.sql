@@ -1,15 +1,14 @@
--- Title: Refusals and holds where the fleet mandates what the executor's own policy denies, and whether each was
---   escalated
+-- Title: Refusals and holds of actions that the fleet mandates but the executor's policy denies, and their escalation
 -- Paper: sec:architecture:fleet, sec:architecture:invariants (A3)
 -- Grain: one row per RequestDenied event for reasons of policy, and per ExecutionHeld event under the executor's own
---   denial, at which rules of the fleet explicitly allow and the executor's own policy denies
+--   denial, where rules of the fleet explicitly allow and the executor's own policy denies
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time; seq, mandate_seq, escalated_seq positions in the run
--- NULL: escalated_seq when nobody was told of the conflict
+-- NULL: escalated_seq when the conflict was not escalated
 -- Example: fsar-ledger query facts/mandate_conflicts LEDGER
--- Stored: audit reads it for two invariants or more
+-- Stored: several invariants of an audit read it
 WITH mandated AS (
-    -- The fleet allows if each of its rules that apply does.
+    -- The fleet allows if each of its applicable rules does.
     SELECT
         stops.run_id, stops.seq, stops.time_us, stops.task_id, stops.action_id, stops.robot, stops.capability,
         stops.previous_seq,
@@ -26,7 +25,7 @@ WITH mandated AS (
 ),
 
 heard AS (
-    -- What the executor was last told of the fleet's rule for its zone.
+    -- The fleet's rule for the executor's zone, as last told to the executor.
     SELECT mandated.run_id, mandated.seq, told.outcome
     FROM mandated
     ASOF JOIN fleet_rule_learned AS told

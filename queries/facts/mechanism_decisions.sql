@@ -1,8 +1,9 @@
--- Title: What each mechanism decided
+-- Title: Decisions of each mechanism
 -- Paper: eq:admissible, eq:adv, eq:override, eq:recovery
 -- Grain: one row per event by which a mechanism decided, and per robot that a registry left out
 -- Key: none, a start that is held has an event each time it is looked at
--- Units: about the robot left out, or the action whose start was held; else the position of the event
+-- Units: about: the position of the query and the robot left out; the action whose start was held; else the position of
+--   the event
 -- NULL: never
 -- Example: fsar-ledger query facts/mechanism_decisions LEDGER
 WITH said AS (

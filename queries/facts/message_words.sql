@@ -1,9 +1,9 @@
--- Title: How each event type reads in the timeline of a request: who tells whom, in which words
+-- Title: The wording of each event type in the timeline of a request: who tells whom what
 -- Paper: sec:model:request, fig:wf1
--- Grain: one row per event type and part of it; a registry's answer is a question and an answer
+-- Grain: one row per event type and part; a registry's answer has two parts, the question and the answer
 -- Key: type, part
 -- Units: part counts from 1
--- NULL: detail when the words say everything; otherwise the field whose value follows them
+-- NULL: detail when the words are complete; otherwise the field whose value follows them
 -- Example: fsar-ledger query facts/message_words LEDGER
 WITH words (type, part, sender, receiver, words, detail) AS (
     VALUES

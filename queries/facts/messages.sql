@@ -3,9 +3,9 @@
 -- Grain: one row per event in the timeline of an action, two for a registry's answer (part 1 and 2)
 -- Key: run_id, seq, part
 -- Units: time_us microseconds of run time; part counts from 1
--- NULL: action_id, sender, receiver when the record does not say; note when there is nothing to add. A robot's own
---   deed has the robot as both, whatever principal the record names. Who calls a supervisor, and whom the answer
---   reaches, is that of facts/supervision_ends
+-- NULL: action_id, sender, receiver when the record does not name them; note when there is nothing to add. A robot's
+--   own deed has the robot as both, whatever principal the record names. The caller of a supervisor, and the receiver
+--   of the answer, are those of facts/supervision_ends
 -- Example: fsar-ledger query facts/messages LEDGER
 WITH told AS (
     SELECT

@@ -1,11 +1,11 @@
--- Title: Every case that one of the paper's eight metrics counts, and when it was
+-- Title: Every case that one of the paper's eight metrics counts, with its time
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per task, decision, failure (of recovery containment, and of reassignment latency), conflict of
 --   authority, governed start, call of the fleet supervisor, and coordination record
 -- Key: none, several cases of one metric may be at one moment
 -- Units: time_us microseconds of run time: of the arrival, the detection or the beginning; numerator, denominator what
---   it adds to those of its metric, microseconds for the latency; denominator 0 of what is only counted
--- NULL: numerator of a case that was not seen to be one or none
+--   it adds to those of its metric, microseconds for the latency; denominator 0 for metrics that are counts
+-- NULL: numerator of a case for which the run does not show whether it counts
 -- Example: fsar-ledger query facts/metric_cases LEDGER
 WITH completed AS (
     SELECT DISTINCT run_id, task_id FROM task_completed

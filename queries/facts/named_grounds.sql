@@ -7,7 +7,7 @@
 -- Example: fsar-ledger query facts/named_grounds LEDGER
 -- Stored: denials, messages and interventions read it
 WITH named AS (
-    -- A rule about a role can be one of two robots' policies; it is named once.
+    -- A rule about a role can belong to the policies of two robots; it is named once.
     SELECT
         grounds.run_id, grounds.seq, grounds.ground_seq, grounds.window_name, grounds.robot, grounds.scope,
         grounds.capability, grounds.context, grounds.opened_us, grounds.closed_us, grounds.seen_us,

@@ -1,12 +1,12 @@
--- Title: Events of the types that have a place for a robot or a principal, and whom each names
+-- Title: Events of the types that have a field for a robot or a principal, and whom each names
 -- Paper: sec:model:invariants (I1)
 -- Grain: one row per event of such a type
 -- Key: run_id, seq
--- Units: time_us microseconds of run time; names_somebody whether a principal is named, or the robot that executes
+-- Units: time_us microseconds of run time; names_somebody whether a principal or the executing robot is named
 -- NULL: the event's type has no such field, or the record does not name it
 -- Example: fsar-ledger query facts/naming_events LEDGER
--- The types are those left out, so that the columns of their events are not read.
--- The executor is the robot: whoever records an execution may leave executed_by out.
+-- The excluded types are listed, so that the columns of their events are not read. The executor is the robot, since a
+-- record of an execution may leave executed_by out.
 SELECT
     run_id, seq, time_us, type, action_id, robot, on_behalf_of, decided_by, requested_by, executed_by, supervised_by,
     claimant, sender, receiver, path,

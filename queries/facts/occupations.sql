@@ -1,13 +1,13 @@
--- Title: When a body served an action or helped with one, and the motions of its own
+-- Title: When a body served an action or helped with one, and its own motions
 -- Paper: sec:evaluation:simulator
 -- Grain: one row per approach, execution or resumption of an action, per help, and per routine motion
 -- Key: run_id, seq
 -- Units: began_us, ended_us microseconds of run time, half-open; a motion has no length
--- NULL: ended_us of an approach or a help that nothing ended on record; action_id and work of a motion
+-- NULL: ended_us of an approach or a help without a recorded end; action_id and work of a motion
 -- Example: fsar-ledger query facts/occupations LEDGER
--- Stored: it is made of three views of events
--- An approach goes over into the execution, and both end where the action stops, fails or is taken away; where nothing
--- tells that, an execution ends as planned. Two actions are the same work if they are for the same step of a task.
+-- Stored: it combines three views of events
+-- An approach becomes the execution, and both end where the action stops, fails or is taken away; without a record of
+-- that, an execution ends as planned. Two actions are the same work if they are for the same step of a task.
 WITH moves AS (
     SELECT
         run_id, seq, time_us, action_id, robot, ends_us,

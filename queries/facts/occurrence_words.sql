@@ -1,11 +1,11 @@
--- Title: How each event type reads that no timeline of a request tells: who does what, in which words
+-- Title: The wording of each event type that is in no timeline of a request: who does what
 -- Paper: sec:model, sec:evaluation:simulator
 -- Grain: one row per event type
 -- Key: type
 -- Units: none
--- NULL: detail when the words say everything; otherwise the field whose value follows them
+-- NULL: detail when the words are complete; otherwise the field whose value follows them
 -- Example: fsar-ledger query facts/occurrence_words LEDGER
--- A claim of authority that revokes nothing reads as here; one that does is in message_words.
+-- A claim of authority that revokes nothing is worded here; one that does, in message_words.
 SELECT told.type, told.sender, told.receiver, told.words, told.detail
 FROM (
     VALUES

@@ -1,10 +1,10 @@
--- Title: What no timeline of a request tells: who does what alone, what befalls a robot, and who sets which rule
+-- Title: Events that are in no timeline of a request: acts of one robot, what happens to it, and rules set
 -- Paper: sec:model, sec:evaluation:simulator
 -- Grain: one row per event of a type of facts/occurrence_words; claims of authority only if they revoke nothing
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
--- NULL: action_id when the record names none; sender, receiver when the record does not say; note when there is
---   nothing to add. A deed of one's own, and what befalls one, has the same sender and receiver
+-- NULL: action_id when the record names none; sender, receiver when the record does not name them; note when there is
+--   nothing to add. A robot's own deed, and anything that happens to it, has the same sender and receiver
 -- Example: fsar-ledger query facts/occurrences LEDGER
 WITH gave AS (
     SELECT run_id, seq, issued_by AS given_by FROM command_given
@@ -65,7 +65,7 @@ told AS (
         ) AS note
     FROM events
     INNER JOIN occurrence_words AS words ON events.type = words.type
-    -- Work for a robot is in its name, and may be given by others.
+    -- Work for a robot is in its name even if another principal gives it.
     LEFT JOIN gave
         ON events.run_id = gave.run_id AND events.caused_by = gave.seq AND events.type = 'CommandRejected.v1'
     WHERE events.type <> 'AuthorityClaimed.v1' OR reason <> 'revocation'

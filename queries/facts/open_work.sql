@@ -1,15 +1,15 @@
--- Title: What is still open where a record that somebody ends does: tasks within their budget, failures without an end
+-- Title: Open work at the end of a record that was cut off: tasks within their budget, failures without an end
 -- Paper: sec:evaluation:metrics
--- Grain: one row per live or foreign run that has any
+-- Grain: one row per live or foreign run with any open work
 -- Key: run_id
 -- Units: open_tasks, open_failures count
 -- NULL: never
 -- Example: fsar-ledger query facts/open_work LEDGER
--- Stored: what is censored reads it twice
--- Partial: what it says of a run does not depend on others
+-- Stored: facts/censored reads it twice
+-- Partial: the rows of a run do not depend on other runs
 -- A simulated run ends when nothing is left to happen. The record of a live run ends where it was read, and metrics
--- count what is open as not done; that of another system ends when somebody stops it, and they count none of it. A
--- recorder that was opened again had stopped before, and says nothing of what happened meanwhile.
+-- count open work as not done; that of another system ends when it is stopped, and they count none of it. A recorder
+-- that was opened again had stopped before, and has no record of the time between.
 WITH ends AS (
     SELECT events.run_id, max(events.time_us) AS end_us
     FROM event_principals AS events

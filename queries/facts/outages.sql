@@ -1,9 +1,9 @@
--- Title: Spells in which a robot was off, its link was down, or its actuator was degraded
+-- Title: Times when a robot was off, its link was down, or its actuator was degraded
 -- Paper: sec:evaluation:simulator
 -- Grain: one row per RobotWentOff, LinkWentDown or ActuatorDegraded event
 -- Key: run_id, seq
 -- Units: since_us, until_us microseconds of run time; is_end_told whether an end is, or would be, on record; if not,
---   until_us is when a robot that went off began something again, or another such spell
+--   until_us is when a robot that went off began an action again, or the next such period began
 -- NULL: until_us when nothing ended it within the run
 -- Example: fsar-ledger query facts/outages LEDGER
 WITH edges (type, what, ended_by, concern) AS (

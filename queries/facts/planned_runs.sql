@@ -1,4 +1,4 @@
--- Title: Runs, and the plans that name them
+-- Title: Runs and the plans that name them
 -- Paper: sec:evaluation:setup
 -- Grain: one row per plan and run of the ledger that it names
 -- Key: plan, run_id

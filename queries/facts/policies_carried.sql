@@ -4,7 +4,7 @@
 -- Key: run_id, seq
 -- Units: seq, replaced_seq positions in the run
 -- NULL: action_id where the record names none; outcome of a request that carries none; replaced_seq of the last request
---   for the action, and of what was relayed of it
+--   for the action, and of its relays
 -- Example: fsar-ledger query facts/policies_carried LEDGER
 SELECT
     run_id, seq, action_id,

@@ -1,18 +1,17 @@
--- Title: Each denial and call for review that a policy can explain: for which capability, and at which moments its
---   decider saw the policies
+-- Title: Denials and calls for review that a policy can explain: the capability, and when the decider saw the policies
 -- Paper: eq:policy, eq:admissible, eq:supervision
 -- Grain: one row per RequestDenied event for policy, a bid, an own step or a review, and per SupervisorCalled event for
 --   review
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time; decided_seq, decided_us position and time of the decision by policy: of the
 --   call for a denial after a review, of the bid for a call about a bid, else of the event; local_us, fleet_us when the
---   decider last saw the executor's own policy and the fleet's policy for it, fleet_us -1 when it never had learned a
+--   decider last saw the executor's own policy and the fleet's policy for it, fleet_us -1 when it had never learned a
 --   rule of the fleet
 -- NULL: a principal, task or action that the record does not name; capability when no record before names one;
 --   local_us, fleet_us of a decider that is no robot when the run does not observe knowledge
 -- Example: fsar-ledger query facts/policies_seen LEDGER
--- Stored: grounds read it for each scope
--- In the DuckDB before ours, which may read this in a file, ASOF joins NULL to NULL.
+-- Stored: the grounds of each scope read it
+-- In DuckDB versions before ours, which may read this in a file, ASOF joins NULL to NULL.
 WITH issued AS (
     SELECT run_id, seq, action_id, capability
     FROM request_issued
@@ -20,7 +19,7 @@ WITH issued AS (
 ),
 
 judged AS (
-    -- What is denied after a review was put to it by the policies at the call.
+    -- A denial after a review has its grounds in the policies at the time of the call.
     SELECT
         denied.run_id, denied.seq, denied.time_us, denied.task_id, denied.action_id,
         coalesce(calls.reason, denied.reason) AS reason,
@@ -55,7 +54,7 @@ SELECT
     judged.run_id, judged.seq, judged.time_us, judged.task_id, judged.action_id, judged.reason, judged.robot,
     judged.decided_seq, judged.decided_us, judged.outcome,
     coalesce(issued.capability, steps.capability) AS capability,
-    -- Planners and the coordinator decide by their last snapshot or copy of a robot's own policy.
+    -- Planners and the coordinator use their last snapshot or copy of a robot's own policy.
     coalesce(snapshots.time_us, copied.time_us, if(present.run_id IS NULL, NULL, judged.decided_us)) AS local_us,
     CASE
         WHEN learned.as_of_us IS NOT NULL THEN learned.as_of_us
@@ -63,7 +62,7 @@ SELECT
         WHEN present.run_id IS NOT NULL THEN judged.decided_us
     END AS fleet_us
 FROM judged
--- Where the run does not observe knowledge, nobody can tell what a decider with copies had seen.
+-- Where the run does not observe knowledge, what a decider with copies had seen is unknown.
 LEFT JOIN runs AS present
     ON
         judged.run_id = present.run_id

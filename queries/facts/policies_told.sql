@@ -1,7 +1,7 @@
 -- Title: What deciders are told of policy: copies, snapshots, and rules of the fleet
 -- Paper: eq:policy, sec:evaluation:baselines
--- Grain: one row per FleetRuleLearned and SnapshotTaken event, and per CopySynced event, scope and robot of the
---   fleet or that any copy of the run names
+-- Grain: one row per FleetRuleLearned and SnapshotTaken event, and per CopySynced event, scope and robot that is a
+--   member of the fleet or named by any copy of the run
 -- Key: run_id, seq, robot, scope
 -- Units: learned_us, as_of_us microseconds of run time
 -- NULL: never
@@ -16,7 +16,7 @@ WITH covered AS (
 ),
 
 copies AS (
-    -- A copy covers every robot; one that it does not name is allowed.
+    -- A copy covers every robot; for one that it does not name, policy allows.
     SELECT
         copies.run_id, copies.seq,
         copies.time_us AS learned_us,
@@ -35,7 +35,7 @@ copies AS (
     CROSS JOIN (VALUES ('local'), ('fleet')) AS scopes (scope)
 )
 
--- Deciders are told of windows; rules are known to all at once, and audit/policy_at has them.
+-- Deciders are told of windows. Rules are known to all at once; see audit/policy_at.
 SELECT
     run_id, seq,
     time_us AS learned_us,

@@ -1,10 +1,10 @@
--- Title: Decisions on delegated requests, and whose policy did not allow them at that moment
+-- Title: Decisions on delegated requests, and whose policy did not allow them then
 -- Paper: eq:policy
--- Grain: one row per admission, command, refusal for whatever reason and call for review of a step that one robot
---   delegates to another
+-- Grain: one row per admission, command, refusal for any reason and call for review of a step that one robot delegates
+--   to another
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
--- NULL: is_against_* when the run does not observe policy, is_heeded when nothing shows it and the run does not
+-- NULL: is_against_* when the run does not observe policy, is_heeded when no record shows it and the run does not
 --   observe request and supervision; is_against_*: that policy had not allowed it for at least a second (two messages);
 --   is_heeded: it was refused, put to review, or approved in one
 -- Example: fsar-ledger query facts/policy_decisions LEDGER

@@ -1,17 +1,16 @@
--- Title: The windows and rules under which each request was denied or put to a supervisor's review, as whoever decided
---   had last seen them
+-- Title: The windows and rules behind each denial and each call for a supervisor's review, as the decider last saw them
 -- Paper: eq:policy, eq:admissible, eq:supervision, app:foundations
 -- Grain: one row per event of facts/policies_seen and policy window or rule that held for it: of the executor (its own,
 --   the fleet's for it), or of the requester or relay as the request carried it; for a review that no policy explains,
---   the supervisor's rule of how often to review
+--   the supervisor's rule on how often to review
 -- Key: run_id, seq, ground_seq, robot
--- Units: opened_us, closed_us microseconds of run time, half-open; seen_us when whoever decided, or for what the
---   request carried its sender, had last seen it; seq, ground_seq positions in the run; review_every admissions
+-- Units: opened_us, closed_us microseconds of run time, half-open; seen_us when the decider had last seen it, or, for a
+--   policy that the request carried, its sender; seq, ground_seq positions in the run; review_every admissions
 -- NULL: window_name for a rule, which has no name but its ground_seq; capability, context when it holds for all of
 --   them; closed_us when it was never closed or replaced; scope for a supervisor's rule, review_every for any other; no
 --   row for an event that no window or rule on record explains
 -- Example: fsar-ledger query facts/policy_grounds LEDGER
--- Stored: what asks for one run or action would compute all
+-- Stored: a query for one run or action would compute all
 WITH seen AS (
     SELECT
         run_id, seq, decided_seq, task_id, capability, outcome, robot,
@@ -59,7 +58,7 @@ under_policy AS (
             seen.run_id = windows.run_id AND seen.robot = windows.robot AND seen.scope = windows.scope
             AND seen.outcome = windows.outcome AND seen.is_window = (windows.window_name IS NOT NULL)
             AND seen.decided_seq > windows.seq AND seen.seen_us >= windows.opened_us
-            -- Where a run does not tell when windows close, nobody knows how long one held.
+            -- Where a run does not record when windows close, how long one held is unknown.
             AND CASE
                 WHEN windows.closed_us IS NOT NULL THEN seen.seen_us < windows.closed_us
                 WHEN seen.is_window AND NOT list_contains(runs.observes, 'policy')

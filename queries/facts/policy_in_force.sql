@@ -1,12 +1,12 @@
--- Title: The policy in force by robot, scope, capability and context, from each moment at which it may have changed
+-- Title: The policy in force by robot, scope, capability and context, from each time it may have changed
 -- Paper: eq:policy, app:foundations
 -- Grain: one row per run, robot, scope, capability, context and moment at which a window or rule about them begins or
---   ends, but for windows without an end in a run that does not tell when windows close; before the first, policy
+--   ends, except windows without an end in a run that does not record when windows close; before the first, policy
 --   allows
 -- Key: run_id, robot, scope, capability?, context?, since_us
 -- Units: since_us, until_us microseconds of run time, half-open
--- NULL: capability, context for what holds for all of them; until_us for the last row of a robot, scope, capability and
---   context
+-- NULL: capability, context for a window or rule about all of them; until_us for the last row of a robot, scope,
+--   capability and context
 -- Example: fsar-ledger query facts/policy_in_force LEDGER
 WITH edges AS (
     SELECT
@@ -16,7 +16,7 @@ WITH edges AS (
         (windows.outcome = 'review')::INTEGER AS reviews
     FROM policy_windows AS windows
     INNER JOIN run_started AS runs ON windows.run_id = runs.run_id
-    -- Where a run does not tell when windows close, nobody knows how long one held.
+    -- Where a run does not record when windows close, how long one held is unknown.
     WHERE
         windows.window_name IS NULL OR windows.closed_us IS NOT NULL
         OR list_contains(runs.observes, 'policy') OR list_contains(runs.records, 'PolicyWindowClosed')

@@ -1,7 +1,8 @@
 -- Title: The strictest policy in force, for each capability and context with a rule of its own and for all others
 -- Paper: eq:policy, app:foundations
--- Grain: one row per run, robot, scope, capability, context and moment from which the outcome is another one;
---   capability and context are those that have a rule of their own, each with each, and NULL for all others
+-- Grain: one row per run, robot, scope, capability, context and moment from which the outcome differs from the one
+--   before; capability and context are those that have a rule of their own, in all combinations, and NULL for all
+--   others
 -- Key: run_id, robot, scope, capability?, context?, since_us?
 -- Units: since_us microseconds of run time; strictness 1 allow, 2 review, 3 deny
 -- NULL: capability, context for all others; since_us for the beginning of the run, when policy allows
@@ -31,7 +32,7 @@ subjects AS (
 ),
 
 applicable AS (
-    -- The strictest holds of what is in force for all capabilities and contexts, and of what is about these.
+    -- The strictest of the outcomes in force for all capabilities and contexts and for these in particular holds.
     SELECT
         subjects.subject, policies.since_us, policies.until_us,
         CASE policies.outcome WHEN 'deny' THEN 3 WHEN 'review' THEN 2 ELSE 1 END AS strictness

@@ -1,12 +1,12 @@
 -- Title: Policy set by rules, for each robot, until another rule replaces it
 -- Paper: eq:policy, app:foundations
--- Grain: one row per PolicyRuleSet or RolePolicyRuleSet event and robot for which it comes into force; a rule for
---   every robot, or for a role, has one row for each member of the fleet that it applies to, also for those that
---   joined later; a robot with a rule of its own is a member although no record says that it joined
+-- Grain: one row per PolicyRuleSet or RolePolicyRuleSet event and robot for which it comes into force; a rule for every
+--   robot, or for a role, has one row for each member of the fleet that it applies to, including later members; a robot
+--   with a rule of its own is a member even if no record says that it joined
 -- Key: run_id, seq, robot
 -- Units: set_us, until_us microseconds of run time, half-open; seq, until_seq positions in the run
 -- NULL: role, domain for a rule about no role (an empty domain is the whole fleet); capability, context when the rule
---   is about all of them; until_us, until_seq when nothing replaced it; decided_by for what the fleet was founded with
+--   is about all of them; until_us, until_seq when nothing replaced it; decided_by for initial settings of the fleet
 -- Example: fsar-ledger query facts/policy_rules LEDGER
 WITH stated AS (
     SELECT
@@ -56,9 +56,9 @@ of_members AS (
 ),
 
 in_force AS (
-    -- A rule replaces those of the same scope, capability and context. One for the robot itself also replaces those
-    -- for its role, and one for a smaller domain those for larger ones, but not the reverse. Rules for every robot
-    -- hold beside the others.
+    -- A rule replaces those of the same scope, capability and context. One for the robot itself also replaces those for
+    -- its role, and one for a smaller domain those for larger ones, but not the reverse. Rules for every robot hold in
+    -- addition to the others.
     SELECT *
     FROM of_members
     QUALIFY

@@ -1,4 +1,4 @@
--- Title: What policy stops: refusals of requests, and holds of admitted actions under the executor's own denial
+-- Title: Actions that policy stops: refused requests, and admitted actions held under the executor's own denial
 -- Paper: eq:policy, sec:architecture:fleet
 -- Grain: one row per RequestDenied event for reasons of policy, and per ExecutionHeld event whose outcome is the
 --   executor's own denial
@@ -15,7 +15,7 @@ WITH stops AS (
     FROM request_denied AS denied
     ASOF JOIN request_issued AS issued
         ON denied.run_id = issued.run_id AND denied.action_id = issued.action_id AND denied.seq > issued.seq
-    -- In the DuckDB before ours, which may read this in a file, ASOF joins NULL to NULL.
+    -- In DuckDB versions before ours, which may read this in a file, ASOF joins NULL to NULL.
     WHERE denied.reason = 'policy' AND denied.action_id IS NOT NULL
     UNION ALL
     SELECT held.run_id, held.seq, held.time_us, held.task_id, held.action_id, held.robot, queued.capability

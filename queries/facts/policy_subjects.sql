@@ -1,9 +1,9 @@
--- Title: Whose policy can be asked for: the robots of a fleet, and in runs that tell of policy all that are named
+-- Title: Robots whose policy can be queried: fleet members, and in runs that record policy all that are named
 -- Paper: eq:policy, app:foundations
 -- Grain: one row per run, robot and scope (its own policy, the fleet's for it)
 -- Key: run_id, robot, scope
 -- Units: none
--- NULL: never; is_member whether it is on record that the robot joined
+-- NULL: never; is_member is whether a record says that the robot joined
 -- Example: fsar-ledger query facts/policy_subjects LEDGER
 WITH telling AS (
     SELECT run_id FROM policy_events

@@ -1,4 +1,4 @@
--- Title: When a policy does not allow: windows of the world, and rules that deny or ask for review
+-- Title: Policy restrictions: windows of the world, and rules that deny or ask for review
 -- Paper: eq:policy, app:foundations
 -- Grain: one row per PolicyWindowOpened event, and per PolicyRuleSet or RolePolicyRuleSet event whose outcome is not
 --   allow and robot for which it holds
@@ -18,7 +18,7 @@ SELECT
     closed.time_us AS closed_us,
     closed.seq AS closed_seq
 FROM policy_window_opened AS opened
--- The first closing after it: a window may open again under its name.
+-- The first closing after it: a window may open again under the same name.
 ASOF LEFT JOIN policy_window_closed AS closed
     ON
         opened.run_id = closed.run_id AND opened.robot = closed.robot AND opened.scope = closed.scope

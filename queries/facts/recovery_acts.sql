@@ -1,15 +1,15 @@
--- Title: What recovery did about each failure: at which level, and with which budget
+-- Title: Acts of recovery for each failure: at which level, and with which budget
 -- Paper: eq:recovery, app:foundations (Paper 3)
 -- Grain: one row per failure and attempt, question for help or its admission, reassignment decision, call or answer for
---   recovery, escalation or resolution; of an action that was under way when the record began, from its first failure
---   there on
+--   recovery, escalation or resolution; for an action that was under way when the record began, only from its first
+--   recorded failure on
 -- Key: run_id, seq
 -- Units: time_us, deadline_us microseconds of run time; t_max_us microseconds; n_max uses; rank 1 local to 4 human
 -- NULL: failure, robot before any failure of the action; level, rank where the record names none; to_rank unless an
 --   escalation; t_max_us, n_max as in facts/recovery_allowances; helper, deadline_us, reason where the record gives
 --   none
 -- Example: fsar-ledger query facts/recovery_acts LEDGER
--- Stored: I4 and what the audit looked at both read it
+-- Stored: I4 and the cases that the audit checked both read it
 WITH ranks (level, rank) AS (
     VALUES
     ('local', 1),
@@ -21,7 +21,7 @@ WITH ranks (level, rank) AS (
 records AS (
     SELECT
         run_id, seq, time_us, type, action_id, helper, number, deadline_us, reason, to_level, level,
-        -- A call and its answer name no failure: they are about the last one of the action.
+        -- A call and its answer name no failure: they belong to the last one of the action.
         coalesce(failure, last_value(CASE WHEN type = 'ExecutionFailed.v1' THEN failure END IGNORE NULLS) OVER so_far)
             AS failure,
         last_value(CASE WHEN type = 'ExecutionFailed.v1' THEN robot END IGNORE NULLS) OVER so_far AS robot
@@ -51,8 +51,7 @@ SELECT
     allowed.t_max_us, allowed.n_max,
     records.type IN ('RecoveryAttempted.v1', 'AssistanceRequested.v1', 'SupervisorCalled.v1')
     OR (records.type = 'ReassignmentDecided.v1' AND records.helper IS NOT NULL) AS is_use,
-    -- What can resolve a failure at the level: an attempt that did not fail, help that was completed, a takeover, a
-    -- human.
+    -- A failure can be resolved at the level by an attempt that did not fail, completed help, a takeover or a human.
     records.type = 'SupervisorResponded.v1'
     OR (records.type = 'RecoveryAttempted.v1' AND fruitless.run_id IS NULL)
     OR (records.type = 'AssistanceAdmitted.v1' AND helped.run_id IS NOT NULL)

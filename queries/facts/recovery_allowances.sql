@@ -1,11 +1,11 @@
--- Title: The budget of each level of a robot's recovery, from each moment at which it was set
+-- Title: The budget of each level of a robot's recovery, from each time at which it was set
 -- Paper: eq:recovery, app:foundations (Paper 3)
--- Grain: one row per run, robot and level for what the fleet was founded with, and per RecoveryBudgetSet event
+-- Grain: one row per run, robot and level for the initial settings of the fleet, and per RecoveryBudgetSet event
 -- Key: run_id, robot, level, since_seq
 -- Units: t_max_us microseconds; n_max attempts (local), helpers asked (peer), reassignments (fleet), calls (human);
 --   since_seq position in the run
--- NULL: t_max_us, n_max where the run records neither, or parameters that cannot be read; set_by where the budget is
---   the fleet's own
+-- NULL: t_max_us, n_max where the run records neither, or where its parameters are unreadable; set_by where the budget
+--   is the fleet's own
 -- Example: fsar-ledger query facts/recovery_allowances LEDGER
 WITH readable AS (
     SELECT

@@ -1,9 +1,9 @@
--- Title: Answers to attempts at recovery, and to questions for help
+-- Title: Answers to attempts at recovery, and to requests for help
 -- Paper: eq:recovery
--- Grain: one row per record of what came of an attempt or of a question for help
+-- Grain: one row per record of the result of an attempt or of a request for help
 -- Key: run_id, seq
 -- Units: question the type of the event that it answers; number counts the attempts at a failure from 1
--- NULL: number of a question for help; helper of an attempt; achieved when not even a part was
+-- NULL: number for a request for help; helper of an attempt; achieved when nothing was achieved
 -- Example: fsar-ledger query facts/recovery_answers LEDGER
 SELECT
     run_id, seq, action_id, failure, number, helper,

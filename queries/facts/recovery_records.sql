@@ -1,10 +1,10 @@
--- Title: Records of the recovery from failures, and the level at which each took place
+-- Title: Records of the recovery from failures, and the level of each
 -- Paper: eq:recovery
 -- Grain: one row per event of the concern recovery, and per call or answer of a supervisor for recovery
 -- Key: run_id, seq
 -- Units: time_us, deadline_us microseconds of run time; number, failure count from 1
--- NULL: failure for a call or an answer, which name none; anything else that the record does not name;
---   level where it has none
+-- NULL: failure for a call or an answer, which name none; level where there is none; anything else that the record does
+--   not name
 -- Example: fsar-ledger query facts/recovery_records LEDGER
 SELECT
     run_id, seq, time_us, type,

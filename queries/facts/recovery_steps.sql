@@ -1,10 +1,10 @@
--- Title: What recovery did about each failure, step by step, and what came of it
+-- Title: The steps of each failure's recovery, and the result of each
 -- Paper: eq:recovery, fig:wf3
 -- Grain: one row per failure and attempt, rollback, question, reassignment, escalation or resolution
 -- Key: run_id, action_id, failure, seq
 -- Units: detected_us, time_us, until_us microseconds of run time; until_us is when the next step was taken
--- NULL: detected_us when nobody recorded that it occurred; decided_by, helper when the record names none; result when
---   none came or is recorded; until_us of the last step
+-- NULL: detected_us when the failure itself is not on record; decided_by, helper when the record names none; result
+--   when there was none or none is recorded; until_us of the last step
 -- Example: fsar-ledger query facts/recovery_steps LEDGER
 WITH records AS (
     SELECT
@@ -27,7 +27,7 @@ steps AS (
     FROM records
     ASOF INNER JOIN failures_on_record AS latest
         ON records.run_id = latest.run_id AND records.action_id = latest.action_id AND records.seq >= latest.seq
-    -- A question to the registry, and a call, name no failure: they are about the last one, until it is resolved.
+    -- A query to the registry, and a call, name no failure: they belong to the last one, until it is resolved.
     INNER JOIN failures_on_record AS failures
         ON
             records.run_id = failures.run_id AND records.action_id = failures.action_id

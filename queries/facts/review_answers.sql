@@ -1,4 +1,4 @@
--- Title: What supervisors answer to reviews; the last answer to an action counts
+-- Title: Supervisors' answers to reviews; the last answer for an action counts
 -- Paper: eq:supervision
 -- Grain: one row per SupervisorResponded event for a review of an action
 -- Key: run_id, seq
@@ -7,6 +7,6 @@
 -- Example: fsar-ledger query facts/review_answers LEDGER
 SELECT
     run_id, seq, action_id,
-    coalesce(approves, TRUE) AS is_approved -- a response that does not say whether it approves does
+    coalesce(approves, TRUE) AS is_approved -- a response without a value counts as an approval
 FROM supervisor_responded
-WHERE purpose = 'review' AND action_id IS NOT NULL -- the DuckDB before ours joins NULL to NULL in ASOF
+WHERE purpose = 'review' AND action_id IS NOT NULL -- DuckDB before ours joins NULL to NULL in ASOF

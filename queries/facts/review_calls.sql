@@ -1,4 +1,4 @@
--- Title: Calls for review: about what, of which robot's policy, and when and where that was looked at
+-- Title: Calls for review: the subject, the robot with the policy, and when and where it was checked
 -- Paper: eq:supervision, eq:policy
 -- Grain: one row per SupervisorCalled event for review
 -- Key: run_id, seq
@@ -6,7 +6,7 @@
 --   of the call
 -- NULL: task_id, action_id, robot when no record names one; decided_by unless the call names a robot
 -- Example: fsar-ledger query facts/review_calls LEDGER
--- Stored: it orders the events of each task, and is read for several ends
+-- Stored: it sorts the events of each task, and several queries read it
 WITH bids AS (
     SELECT
         run_id, seq, time_us, action_id,
@@ -29,8 +29,8 @@ coordinated AS (
     WHERE decided_by = 'coordinator'
 )
 
--- Who calls is not recorded: a coordinator names the robot that it has picked, and where none decides, the robot that
--- holds an action names itself; a bidder has said that its policy wants a review, an executor was asked before, and
+-- The caller is not recorded. A coordinator names the robot that it has picked; without one, a robot that holds an
+-- action names itself. A bidder has reported that its policy wants a review, an executor was asked before, and
 -- otherwise the step is the robot's own.
 SELECT
     called.run_id, called.seq, called.time_us, called.task_id, called.action_id,

@@ -1,14 +1,13 @@
 -- Title: The last grant or revocation that bears on each evaluation of a request, for each robot behind the request
 -- Paper: eq:auth, sec:model:authority
--- Grain: one row per evaluation and robot that asks: the requester and, where the request came through one, the relay
+-- Grain: one row per evaluation and requesting robot: the requester and, where the request came through one, the relay
 -- Key: run_id, seq, asker
 -- Units: time_us microseconds of run time; right_seq position in the run
--- NULL: action_id; conjunct unless denied; no row where nobody has granted or revoked anything that the request is
---   about
+-- NULL: action_id; conjunct unless denied; no row where no right that the request is about was granted or revoked
 -- Example: fsar-ledger query facts/rights_at_evaluations LEDGER
--- Stored: audit reads it for two invariants or more
+-- Stored: several invariants of an audit read it
 WITH askers AS (
-    -- A relay judges its own link of the chain by itself.
+    -- A relay judges only its own link of the chain.
     SELECT
         run_id, seq, time_us, action_id, context, capability, type, verdict, conjunct,
         CASE WHEN decided_by = relay THEN relay ELSE executed_by END AS executed_by,

@@ -1,12 +1,12 @@
--- Title: Who called a supervisor, and whom the answer reaches, which no record says outright
+-- Title: Callers of supervisors and receivers of their answers, neither of which is recorded
 -- Paper: eq:supervision
 -- Grain: one row per SupervisorCalled and SupervisorResponded event
 -- Key: run_id, seq
 -- Units: none
 -- NULL: caller of an answer, and where no record names one: for a review that names a robot it is the coordinator, or
---   that robot where none decides; the requester for one about a bid, for recovery the decider that was named last,
---   else the executor named last or the robot whose step it is; asker of a call, and of an answer whose records name
---   nobody: it is the executor that the answer names, or who called, else the requester, or the supervisor itself
+--   that robot where no coordinator decides; the requester for one about a bid, for recovery the last decider named,
+--   else the last executor named or the robot whose step it is; asker of a call, and of an answer whose records name
+--   none: it is the executor that the answer names, or the caller, else the requester, or the supervisor itself
 -- Example: fsar-ledger query facts/supervision_ends LEDGER
 WITH named AS (
     SELECT

@@ -1,11 +1,11 @@
--- Title: Tasks that a departure hit: what a robot did for them was cut off, or nobody was there to act
+-- Title: Tasks hit by a departure: an action for them was cut off, or no robot was there to act
 -- Paper: sec:discussion:heterogeneity
 -- Grain: one row per task with a request that ended as failure(departed), or with an execution, a recovery or a help
---   that a departure ended, or that was given up while a robot of one of its steps had departed; where its steps are
---   not on record, the robot that received it, or one that has executed for it
+--   that a departure ended, or that was given up while a robot of one of its steps was away after a departure; where
+--   its steps are not on record, the robot that received it, or one that has executed for it
 -- Key: run_id, task_id
 -- Units: hit_seq, ended_seq positions in the run
--- NULL: hit_seq where nothing but the giving up is on record; ended_seq, outcome of a task that is open to the end
+-- NULL: hit_seq where only the giving up is on record; ended_seq, outcome of a task that is open at the end
 -- Example: fsar-ledger query facts/tasks_of_departed LEDGER
 WITH cut_off AS (
     SELECT run_id, task_id, min(seq) AS hit_seq

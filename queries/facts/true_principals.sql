@@ -1,11 +1,11 @@
--- Title: Who asked for each execution, who acted and who could have been asked, beside what its record says
+-- Title: The true requester, executor and supervisor of each execution, compared with its record
 -- Paper: sec:evaluation:metrics (audit attributability)
 -- Grain: one row per ExecutionStarted event
 -- Key: run_id, seq
--- Units: origin_is_named, executor_is_named, supervisor_is_named tell whether the record names who it was
+-- Units: origin_is_named, executor_is_named, supervisor_is_named whether the record names the true one
 -- NULL: supervisor_is_named where no supervisor of the robot's own was on shift; action_id, task_id as in executions
 -- Example: fsar-ledger query facts/true_principals LEDGER
--- Robot and on_behalf_of are physical facts. H_F may stand for the robot's own supervisor, whoever that is.
+-- Robot and on_behalf_of are physical facts. H_F may stand for the robot's own supervisor, whichever that is.
 WITH on_shift AS (
     SELECT executions.run_id, executions.seq, members.supervisor
     FROM executions

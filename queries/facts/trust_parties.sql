@@ -1,10 +1,9 @@
 -- Title: The robots on either side of each entry of trust
 -- Paper: eq:trust
--- Grain: one row per TrustSet, RoleTrustSet or InitialTrustSet event, side and robot; an entry about roles or everybody
---   has one for each member, also for those that joined later
+-- Grain: one row per TrustSet, RoleTrustSet or InitialTrustSet event, side and robot; an entry about roles or all
+--   robots has one for each member, including later members
 -- Key: run_id, seq, is_trusting, robot
--- Units: joined_us microseconds of run time, from which on the robot is a member; 0 where nobody recorded that it
---   joined
+-- Units: joined_us microseconds of run time at which the robot became a member; 0 where no record says when
 -- NULL: never; is_trusting: the robot is one that trusts, else one that is trusted
 -- Example: fsar-ledger query facts/trust_parties LEDGER
 -- An entry applies to a pair when one robot is on its trusting side and the other on its trusted side, so pairs need

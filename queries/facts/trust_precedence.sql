@@ -1,11 +1,11 @@
--- Title: Entries of trust, and which of those that apply to a pair holds
+-- Title: Entries of trust, with the precedence that decides for a pair
 -- Paper: eq:trust
 -- Grain: one row per TrustSet, RoleTrustSet or InitialTrustSet event
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time; precedence orders the entries that apply to one robot about one peer
--- NULL: robot, peer of an entry about roles, and either where the initial trust of the other is about everybody; role,
+-- NULL: robot, peer of an entry about roles, and the party of an initial trust that stands for all robots; role,
 --   peer_role, domain of an entry about robots (an empty domain is the whole fleet); capability, context when the entry
---   is about all of them; set_by for what the fleet was founded with
+--   is about all of them; set_by for initial settings of the fleet
 -- Example: fsar-ledger query facts/trust_precedence LEDGER
 -- Of the entries that apply to a pair (see trust_parties), a capability and a context, the one of the greatest
 -- precedence holds. An entry about the pair itself precedes those about roles; among roles, the smallest domain comes

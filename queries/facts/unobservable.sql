@@ -1,21 +1,21 @@
--- Title: What cannot be judged of a run, because its source does not record what the judgement rests on
+-- Title: Judgements that a run does not support, because its source does not record what they rest on
 -- Paper: sec:evaluation:metrics
--- Grain: one row per run and judge that rests on what the run does not observe
+-- Grain: one row per run and judge that rests on something the run does not observe
 -- Key: run_id, judge
 -- Units: none
--- NULL: never; not_observed names the concerns, or the event types and fields of a run that says which of them it
---   records, or says what its record leaves open; hides_offences tells whether not even an offence could be found
+-- NULL: never; not_observed names the concerns, or the event types and fields of a run that declares which of them it
+--   records, or what its record leaves open; hides_offences is whether not even an offence could be found
 -- Example: fsar-ledger query facts/unobservable LEDGER
 -- Stored: every metric, invariant and grade reads it
--- Partial: what it says of a run does not depend on others
+-- Partial: the rows of a run do not depend on other runs
 WITH sources AS (
-    -- There are few kinds of source and many runs.
+    -- There are few kinds of sources and many runs.
     SELECT DISTINCT coalesce(observes, []) AS observes, records
     FROM run_started
 ),
 
 recorded AS (
-    -- Of a concern that is observed every type is recorded, with all of its fields.
+    -- Every type of an observed concern is recorded, with all of its fields.
     SELECT sources.observes, sources.records, split_part(concerns.type, '.', 1) AS kind, TRUE AS is_whole
     FROM sources
     INNER JOIN event_concerns AS concerns ON list_contains(sources.observes, concerns.concern)

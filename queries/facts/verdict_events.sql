@@ -1,13 +1,13 @@
--- Title: Verdicts on a moment or a task of a run, with the events that made each
+-- Title: Verdicts on a moment or a task of a run, with the events behind each
 -- Paper: sec:evaluation:metrics
--- Grain: one row per start against policy (violation), authority conflict (conflict), task that is not completed within
---   its budget (late), and record that is not attributable (unattributed)
+-- Grain: one row per start against policy (violation), authority conflict (conflict), task not completed within its
+--   budget (late), and record that is not attributable (unattributed)
 -- Key: run_id, verdict, seq, about
 -- Units: time_us microseconds of run time; seq, made_by positions in the run
 -- NULL: action_id for a motion, a task, and a record that names none
 -- Example: fsar-ledger query facts/verdict_events LEDGER
--- Made by: the windows and rules in force, and the start; the claims that overlap; the arrival of the task, what held
--- it up, and its end; the record.
+-- Behind each: the windows and rules in force, and the start; the overlapping claims; the arrival of the task, what
+-- held it up, and its end; the record.
 WITH violations AS (
     SELECT
         run_id, seq,

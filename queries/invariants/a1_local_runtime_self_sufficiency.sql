@@ -1,12 +1,12 @@
--- Title: A1 broken: a robot needs somebody else for its own steps or routine
+-- Title: A1 broken: a robot needs others for its own steps or routine
 -- Paper: sec:architecture:invariants (A1), eq:runtime
--- Grain: one row per own step or routine operation that another principal than the robot decided, or stands on the
---   path of; and per own execution that nobody decided
+-- Grain: one row per own step or routine operation that another principal than the robot decided, or that has another
+--   on its path; and per own execution without a decision
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id for a routine, and where the record does not name it
 -- Example: fsar-ledger query invariants/a1_local_runtime_self_sufficiency LEDGER
--- What was decided before the record of another system began is not on record.
+-- Decisions made before the record of another system began are not on record.
 WITH decided AS (
     SELECT
         run_id, seq, time_us, type, task_id, action_id, decided_by, path,

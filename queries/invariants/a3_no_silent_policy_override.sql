@@ -1,4 +1,4 @@
--- Title: A3 broken: a known conflict of policies is passed over instead of escalated
+-- Title: A3 broken: a known conflict of policies is ignored instead of escalated
 -- Paper: sec:architecture:invariants (A3), eq:policy
 -- Grain: one row per start under a known deny or unapproved review, or after a refusal or hold that still stands; per
 --   admission milder than what the last request carried; and per stop against a mandate that was not escalated

@@ -20,7 +20,7 @@ WITH decided AS (
             'RequestAdmitted.v1', 'RequestAccepted.v1', 'OwnStepDecided.v1', 'RoutinePerformed.v1',
             'RoutineWithheld.v1', 'ReplanOrdered.v1', 'AssistanceAdmitted.v1'
         )
-        -- Waiting that is no denial is no decision; its path is empty.
+        -- Waiting without a denial is no decision; its path is empty.
         OR (type = 'ExecutionHeld.v1' AND len(path) > 0)
     UNION ALL
     SELECT run_id, seq, time_us, 'RecoveryAttempted.v1' AS type, action_id, decided_by, robot AS executor

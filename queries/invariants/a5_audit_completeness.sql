@@ -1,4 +1,4 @@
--- Title: A5 broken: an execution for another robot is not fully on record
+-- Title: A5 broken: an execution for another robot is not fully recorded
 -- Paper: sec:architecture:invariants (A5), eq:request
 -- Grain: one row per start or end of an execution for another robot whose own record lacks or misstates a principal,
 --   without an earlier request, admission (or reassignment) and acceptance of its action in this order, that another
@@ -7,10 +7,10 @@
 -- Units: time_us microseconds of run time
 -- NULL: action_id where the record names none
 -- Example: fsar-ledger query invariants/a5_audit_completeness LEDGER
--- The robots are physical facts, the principals what was recorded. No supervisor is needed while that of the executing
--- robot is recorded as absent; a robot without one of its own is supervised by H_F, who is always there.
+-- The robots are physical facts, the principals are as recorded. No supervisor is needed while that of the executing
+-- robot is recorded as absent; a robot without its own is supervised by H_F, who is always there.
 WITH calls AS (
-    -- A request that comes again under its name, before that was denied or closed, was sent again.
+    -- A request repeated under the same name before it was denied or closed was sent again.
     SELECT run_id, seq AS told, action_id, type AS call, helper FROM event_principals
     WHERE
         type IN ('RequestIssued.v1', 'RequestAdmitted.v1', 'RequestAccepted.v1', 'RequestDenied.v1', 'RequestClosed.v1')

@@ -39,7 +39,7 @@ known AS (
 named AS (
     SELECT
         run_id, seq, time_us, type, action_id,
-        -- Each principal once, and none for NULL.
+        -- Each principal once, without NULL.
         unnest(list_distinct(list_concat(
             [decided_by, requested_by, executed_by, executor, supervised_by, claimant, sender, receiver],
             coalesce(path, [])
@@ -50,14 +50,14 @@ named AS (
 
 SELECT
     named.run_id, named.seq, named.time_us, named.type, named.action_id,
-    -- It need not have acted: the event may only ask it for something.
+    -- It need not have acted: the event may only be a request to it.
     named.principal || ' is named, and is neither a robot of the fleet nor one of its supervisors or services' AS found
 FROM named
 LEFT JOIN known ON named.run_id = known.run_id AND named.principal = known.principal
 LEFT JOIN run_started AS runs ON named.run_id = runs.run_id
 WHERE
     known.principal IS NULL
-    -- Nothing is said of a supervisor where the source does not record whose it is.
+    -- A supervisor is not judged where the source does not record whose it is.
     AND (
         NOT starts_with(named.principal, 'supervisor/') OR runs.records IS NULL OR list_contains(runs.observes, 'fleet')
         OR list_contains(runs.records, 'RobotJoined.supervisor')

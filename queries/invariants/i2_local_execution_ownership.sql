@@ -1,4 +1,4 @@
--- Title: I2 broken: a delegated action is executed that its executor had not accepted itself, or admitted despite a
+-- Title: I2 broken: a delegated action is executed without its executor's own acceptance, or admitted despite a
 --   revocation
 -- Paper: sec:model:invariants (I2), eq:request
 -- Grain: one row per ExecutionStarted event for another robot without an earlier acceptance, by the executing robot, of
@@ -7,8 +7,8 @@
 -- Units: time_us microseconds of run time
 -- NULL: never
 -- Example: fsar-ledger query invariants/i2_local_execution_ownership LEDGER
--- An acceptance counts when the executing robot decided it, it names that robot as executor, and nobody else was on its
--- path. That of an action that was under way when the record of another system began is not on record.
+-- An acceptance counts when the executing robot decided it, it names that robot as executor, and its path has no other
+-- principal. That of an action that was under way when the record of another system began is not on record.
 WITH acceptances AS (
     SELECT
         starts.run_id, starts.seq,

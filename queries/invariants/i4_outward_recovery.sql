@@ -1,17 +1,17 @@
--- Title: I4 broken: recovery of a failure skips a level, goes back, overruns the budget of its level, or is resolved by
---   what was not done there
+-- Title: I4 broken: recovery of a failure skips a level, goes back, overruns a level's budget, or is resolved where
+--   nothing was done
 -- Paper: sec:model:invariants (I4), eq:recovery
--- Grain: one row per recovery event whose level is not the one reached, whose step is not to the next level outward,
---   that is beyond the time or the count of its level, or that rests on what is not on record
+-- Grain: one row per recovery event whose level is not the one reached, whose step is not to the next outward level,
+--   that exceeds the time or the count of its level, or that rests on an event that is not on record
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: never
 -- Example: fsar-ledger query invariants/i4_outward_recovery LEDGER
--- A level's time runs from the moment at which recovery turned to it; that of the local one is fixed with its first
--- attempt, in time after the failure, and ends this long after it. Help that was asked in time may end later. Each call
+-- A level's time runs from when recovery turned to it. At the local level the first attempt must begin within that time
+-- after the failure, and the time then runs from that attempt. Help that was requested in time may end later. Each call
 -- to a human has its own time. Without a recorded budget none is overrun.
 WITH placed AS (
-    -- Every failure begins at the local level. Every escalation sets the level from then on, a wrong one too.
+    -- Every failure begins at the local level. Every escalation sets the level for later events, even a wrong one.
     SELECT
         run_id, seq, time_us, type, action_id, helper, deadline_us, reason, to_level, level, failure, rank, to_rank,
         t_max_us, n_max, is_use,

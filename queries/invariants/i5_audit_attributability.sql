@@ -5,7 +5,8 @@
 -- Units: time_us microseconds of run time
 -- NULL: action_id when the record is not correlated with an action
 -- Example: fsar-ledger query invariants/i5_audit_attributability LEDGER
--- What can be recovered is judged in coordination_events, as for the metric: an absence on record excuses a supervisor.
+-- Whether a principal can be recovered is judged in coordination_events, as for the metric: a recorded absence excuses
+-- a missing supervisor.
 SELECT
     run_id, seq, time_us, type, action_id,
     'no ' || concat_ws(

@@ -5,10 +5,10 @@
 -- Units: numerator coordination events whose origin, executor and supervisor are recorded or recoverable; denominator
 --   coordination events; value share; *_without_routine the same without records of routine operations, which no
 --   request made (R42)
--- NULL: value of a run without coordination events; numbers of a run that does not observe what the metric rests on;
---   not_observed of one that does
+-- NULL: value of a run without coordination events; numbers where the run does not observe what the metric rests on;
+--   not_observed where it does
 -- Example: fsar-ledger query metrics/audit_attributability LEDGER
--- Partial: what it says of a run does not depend on others
+-- Partial: the rows of a run do not depend on other runs
 WITH judged AS (
     SELECT
         run_id,

@@ -3,9 +3,9 @@
 -- Grain: one row per run
 -- Key: run_id
 -- Units: numerator and value conflicts (one per action and dimension); denominator 1 (the run)
--- NULL: numbers of a run that does not observe what the metric rests on; not_observed of one that does
+-- NULL: numbers where the run does not observe what the metric rests on; not_observed where it does
 -- Example: fsar-ledger query metrics/authority_conflicts LEDGER
--- Partial: what it says of a run does not depend on others
+-- Partial: the rows of a run do not depend on other runs
 WITH judged AS (
     SELECT
         run_id,

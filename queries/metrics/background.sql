@@ -1,11 +1,11 @@
--- Title: How much of each count is routine, and how much is on record while the supervisor in charge is off shift
+-- Title: The share of each count that is routine, or recorded while the supervisor in charge is off shift
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per architecture, configuration, seed and setting (kind, source, model version, constants, fleet size)
 -- Key: architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?
 -- Units: counts, and shares of them: routine operations among decisions, local decisions, coordination events and
 --   policy violations; among coordination events, those during a recorded absence of the supervisor in charge (R8)
 -- NULL: seed, source, model version of runs that have none; constants where all runs of the kind and model have the
---   same; a share of nothing; runs that do not observe decisions, records and policy are left out
+--   same; shares of a count of 0; runs that do not observe decisions, records and policy are left out
 -- Example: fsar-ledger query metrics/background LEDGER
 WITH counted AS (
     SELECT

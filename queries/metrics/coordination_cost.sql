@@ -1,19 +1,18 @@
--- Title: What coordination costs: messages, hops, decisions, look-ups and checks for each request
+-- Title: Cost of coordination: messages, hops, decisions, look-ups and checks per request
 -- Paper: sec:evaluation:scaling
 -- Grain: one row per architecture, configuration and setting (kind, source, model version, constants, fleet size)
 -- Key: architecture?, configuration?, setting
 -- Units: runs, tasks, requests counts over all runs of the setting; a request is a step for which a robot lacks a
---   capability. Completed is the share of tasks completed within their budget. The rest are counts for each request:
+--   capability. Completed is the share of tasks completed within their budget. The rest are counts per request:
 --   messages between principals, decisions other than routine and own steps, principals that these passed through
---   (hops), questions to a registry or to a coordinator's copy (look-ups), robots that the answers name, and answers to
+--   (hops), queries to a registry or to a coordinator's copy (look-ups), robots that the answers name, and answers to
 --   requests (checks of trust, authority and policy). Setting, teams_working, encounter_mean_s, made_alike_but as in
 --   dials
--- NULL: architecture, configuration, fleet_size and source of runs that have none; a count for each request where there
---   is no request or none of what is counted; completed without tasks; runs that do not observe what is counted are
---   left out
+-- NULL: architecture, configuration, fleet_size and source of runs that have none; a count per request where there is
+--   no request or nothing to count; completed without tasks; runs that do not observe what is counted are left out
 -- Example: fsar-ledger query metrics/coordination_cost LEDGER
 WITH told AS (
-    -- A registry's answer is two messages; a decision on an own step is none, whoever decides it.
+    -- A registry's answer is two messages; a decision on an own step is none, whichever principal decides it.
     SELECT
         type,
         count(*) AS messages

@@ -3,10 +3,10 @@
 -- Grain: one row per run
 -- Key: run_id
 -- Units: numerator tasks completed within their budget; denominator tasks; value share
--- NULL: value of a run without tasks; numbers of a run that does not observe what the metric rests on; not_observed of
---   one that does
+-- NULL: value of a run without tasks; numbers where the run does not observe what the metric rests on; not_observed
+--   where it does
 -- Example: fsar-ledger query metrics/coordination_success LEDGER
--- Partial: what it says of a run does not depend on others
+-- Partial: the rows of a run do not depend on other runs
 WITH completions AS (
     SELECT
         run_id, task_id,

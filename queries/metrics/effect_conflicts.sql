@@ -2,16 +2,16 @@
 -- Paper: sec:evaluation:metrics (authority conflict)
 -- Grain: one row per run
 -- Key: run_id
--- Units: numerator and value actions that a body began to serve while it served another, motions of a body by itself
---   while it served one, and works that two bodies or more did at once, each counted once; denominator 1 (the run);
+-- Units: numerator and value actions that a body began to serve while it served another, a body's own motions while it
+--   served one, and works that two or more bodies did at once, each counted once; denominator 1 (the run);
 --   *_without_routine the same without those motions, which are routine operations
--- NULL: numbers of a run that does not observe what the metric rests on; not_observed of one that does
+-- NULL: numbers where the run does not observe what the metric rests on; not_observed where it does
 -- Example: fsar-ledger query metrics/effect_conflicts LEDGER
--- What nothing ends on record lasts no time here, since a system that records starts alone is not to be accused.
--- Whether anybody claimed authority does not matter: where nobody claims, the paper's count of conflicts is 0.
--- Partial: what it says of a run does not depend on others
+-- An occupation without a recorded end has no duration here, so that a system that records only starts is not charged.
+-- Claims of authority do not matter here: where no principal claims any, the paper's count of conflicts is 0.
+-- Partial: the rows of a run do not depend on other runs
 WITH swept AS (
-    -- Ordered by beginning, each occupation beside the earlier one that lasts longest: of its body, and of its work.
+    -- Ordered by beginning, each occupation beside the earlier one that lasts longest, of its body and of its work.
     SELECT
         run_id, seq, robot, action_id, work, began_us,
         max(ended_us) OVER of_body AS busy_until_us,

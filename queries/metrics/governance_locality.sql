@@ -4,10 +4,10 @@
 -- Key: run_id
 -- Units: numerator decisions that a robot or named supervisor took by itself; denominator decisions; value share;
 --        *_without_routine the same without decisions on routine operations, which no request made (R42)
--- NULL: value of a run without decisions; numbers of a run that does not observe what the metric rests on; not_observed
---   of one that does
+-- NULL: value of a run without decisions; numbers where the run does not observe what the metric rests on; not_observed
+--   where it does
 -- Example: fsar-ledger query metrics/governance_locality LEDGER
--- Partial: what it says of a run does not depend on others
+-- Partial: the rows of a run do not depend on other runs
 WITH judged AS (
     SELECT
         run_id,

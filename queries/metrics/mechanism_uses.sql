@@ -4,12 +4,12 @@
 --   scenario and mechanism
 -- Key: architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?, scenario?,
 --   mechanism
--- Units: times it decided, over so many runs: a robot left out of an answer, a refusal, a start that was held (once
---   however often it was looked at again); part is where the paper has it
+-- Units: runs count; times it decided in them: a robot left out of an answer, a refusal, a start that was held (once,
+--   even if checked again); part is its place in the paper
 -- NULL: times where the runs do not observe what would show it; seed, source, model version, scenario of runs that have
 --   none; constants where all runs of the kind and model have the same
 -- Example: fsar-ledger query metrics/mechanism_uses LEDGER
--- A mechanism that never decided has a row with 0, so that nothing is claimed for it.
+-- A mechanism that never decided has a row with 0, so that it is not credited with anything.
 WITH listed (part, concern, names) AS (
     VALUES
     (

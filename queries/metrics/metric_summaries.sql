@@ -1,19 +1,19 @@
--- Title: Every metric over the runs of each seed and over those of all seeds, with intervals
+-- Title: Every metric over the runs of each seed and of all seeds together, with intervals
 -- Paper: tab:results
 -- Grain: one row per architecture, configuration, setting (kind, source, model version, constants, fleet size), metric,
 --   scenario or all scenarios, and seed or all seeds (pools_seeds)
 -- Key: architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?, pools_seeds,
 --   scenario?, metric
--- Units: mean, mean_without_routine (routine operations left out), sd (per run), ci_low, ci_high in the metric's
---   unit; n runs of so many seeds; denominator what the metric counts, summed over runs; runs_not_observed runs that
+-- Units: mean, mean_without_routine (routine operations left out), sd (per run), ci_low, ci_high in the metric's unit;
+--   n runs and their number of seeds; denominator what the metric counts, summed over runs; runs_not_observed runs that
 --   do not observe what it rests on and count nowhere else. Containment and latency are pooled: mean is the sum of
---   numerators over the sum of denominators. 95 % intervals keep within the scale: Wilson for human_intervention;
+--   numerators over the sum of denominators. 95 % intervals stay within the scale: Wilson for human_intervention;
 --   Student's t on the logit of a share and on the logarithm of a count or time, with as many degrees of freedom as
---   runs count anything; where all agree, exact bounds of a share of 0 or 1 and a count
--- NULL: scenario for all scenarios; seed for all seeds; what the runs do not have; mean where the metric is undefined
---   or not observable in all runs, denominator where it is not observable; sd also for a single run; the interval but
---   Wilson's where one run counts anything, and of a time or a share between 0 and 1 that does not vary;
---   mean_without_routine of a metric that counts no routine operations
+--   runs count anything; where all agree, exact bounds for a share of 0 or 1 and for a count
+-- NULL: scenario for all scenarios; seed for all seeds; dimensions that the runs lack; mean where the metric is
+--   undefined or not observable in all runs, denominator where it is not observable; sd also for a single run;
+--   intervals other than Wilson's where one run counts anything, and of a time or a share between 0 and 1 that does not
+--   vary; mean_without_routine of a metric that counts no routine operations
 -- Example: fsar-ledger query metrics/metric_summaries LEDGER
 WITH moments AS (
     -- Floats summed in a fixed order give the same bits on any number of threads.
@@ -43,7 +43,7 @@ quantiles AS (
         moments.telling, moments.runs_not_observed, moments.denominator, moments.published_convention_mean,
         definitions.scale,
         norm_quantile(0.975) AS z,
-        moments.sd <= 1e-12 * abs(moments.mean) AS is_constant, -- but for rounding
+        moments.sd <= 1e-12 * abs(moments.mean) AS is_constant, -- apart from rounding
         t_quantile(0.975, nullif(moments.telling - 1, 0)::DOUBLE) * moments.sd / sqrt(moments.n) AS half_width,
         CASE WHEN moments.telling > 1 THEN pow(0.025, 1.0 / moments.telling) END AS agreement
     FROM moments

@@ -6,7 +6,7 @@
 -- Units: as in metric_summaries
 -- NULL: scenario for all scenarios; the rest as in metric_summaries
 -- Example: fsar-ledger query metrics/metric_summary LEDGER
--- Those over the runs of all seeds are in metric_summaries.
+-- Summaries over the runs of all seeds are in metric_summaries.
 SELECT * EXCLUDE (pools_seeds)
 FROM metric_summaries
 WHERE NOT pools_seeds

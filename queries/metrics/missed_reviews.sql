@@ -1,14 +1,14 @@
--- Title: Interventions that were needed and not asked for
+-- Title: Interventions that were needed but not requested
 -- Paper: sec:evaluation:metrics (human intervention)
 -- Grain: one row per run
 -- Key: run_id
 -- Units: numerator and value executions and motions that started where the true policy asked for a review and no
 --   supervisor had approved them; denominator 1 (the run); *_without_routine the same without motions, which serve no
---   action and which nobody can approve
--- NULL: numbers of a run that does not observe what the metric rests on; not_observed of one that does
+--   action and cannot be approved
+-- NULL: numbers where the run does not observe what the metric rests on; not_observed where it does
 -- Example: fsar-ledger query metrics/missed_reviews LEDGER
--- A fleet without supervisors calls none, so its human intervention is 0; this is what it does instead.
--- Partial: what it says of a run does not depend on others
+-- A fleet without supervisors calls none, so its human intervention is 0; this counts the reviews it misses.
+-- Partial: the rows of a run do not depend on other runs
 WITH judged AS (
     SELECT
         run_id,

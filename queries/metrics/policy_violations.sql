@@ -4,9 +4,9 @@
 -- Key: run_id
 -- Units: numerator and value executions and motions that started against policy; denominator 1 (the run);
 --        *_without_routine the same without motions, which are routine operations (R42)
--- NULL: numbers of a run that does not observe what the metric rests on; not_observed of one that does
+-- NULL: numbers where the run does not observe what the metric rests on; not_observed where it does
 -- Example: fsar-ledger query metrics/policy_violations LEDGER
--- Partial: what it says of a run does not depend on others
+-- Partial: the rows of a run do not depend on other runs
 WITH judged AS (
     SELECT
         run_id,

@@ -4,10 +4,10 @@
 -- Key: run_id
 -- Units: numerator microseconds from detection to local resolution or to leaving the first level; denominator failures
 --   that did either; value seconds
--- NULL: value of a run without such failures; numbers of a run that does not observe what the metric rests on;
---   not_observed of one that does
+-- NULL: value of a run without such failures; numbers where the run does not observe what the metric rests on;
+--   not_observed where it does
 -- Example: fsar-ledger query metrics/reassignment_latency_s LEDGER
--- Partial: what it says of a run does not depend on others
+-- Partial: the rows of a run do not depend on other runs
 WITH judged AS (
     SELECT
         run_id,

@@ -3,10 +3,10 @@
 -- Grain: one row per run
 -- Key: run_id
 -- Units: numerator failures resolved at local or peer level; denominator failures; value share
--- NULL: value of a run without failures; an unresolved failure is not contained;
---       numbers of a run that does not observe what the metric rests on; not_observed of one that does
+-- NULL: value of a run without failures; an unresolved failure is not contained; numbers where the run does not observe
+--   what the metric rests on; not_observed where it does
 -- Example: fsar-ledger query metrics/recovery_containment LEDGER
--- Partial: what it says of a run does not depend on others
+-- Partial: the rows of a run do not depend on other runs
 WITH judged AS (
     SELECT
         run_id,

@@ -5,12 +5,12 @@
 -- Units: setting and constants as in run_settings; value share, count or seconds, as the metric says; numerator and
 --   denominator as in the metric's own query; value_without_routine the same without routine operations, where the
 --   metric counts them
--- NULL: value where the metric is undefined for the run; published_convention_value then is what the paper counts
+-- NULL: value where the metric is undefined for the run; published_convention_value then has the paper's value
 --   (containment 1, latency 0 s), else NULL; value_without_routine where the metric counts no routine operations, and
---   where it counts nothing else; all numbers where the run does not observe what the metric rests on, which
---   not_observed names and is NULL otherwise
+--   where it counts only these; all numbers where the run does not observe what the metric rests on, which not_observed
+--   names and is NULL otherwise
 -- Example: fsar-ledger query metrics/run_metrics LEDGER
--- Stored: the summary and every statistic read it several times
+-- Stored: the summaries and every statistic read it several times
 SELECT
     runs.run_id, settings.kind, runs.observes, runs.seed, runs.architecture, runs.configuration, runs.scenario,
     runs.fleet_size, runs.run, runs.model_version, runs.parameters_sha256, runs.source, settings.setting,

@@ -4,11 +4,12 @@
 -- Key: run_id
 -- Units: numerator tasks completed within their budget for which nothing started against policy; denominator tasks;
 --   value share
--- NULL: value of a run without tasks; numbers of a run that does not observe what the metric rests on; not_observed of
---   one that does
+-- NULL: value of a run without tasks; numbers where the run does not observe what the metric rests on; not_observed
+--   where it does
 -- Example: fsar-ledger query metrics/success_without_violation LEDGER
--- The true policy counts, at every start, wherever it was checked: an architecture that checks less has no better name.
--- Partial: what it says of a run does not depend on others
+-- The true policy counts, at every start, wherever it was checked, so that an architecture that checks less gains
+-- nothing.
+-- Partial: the rows of a run do not depend on other runs
 WITH completions AS (
     SELECT
         run_id, task_id,

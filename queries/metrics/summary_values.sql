@@ -4,9 +4,9 @@
 -- Key: run_id, metric, pools_seeds, scenario?
 -- Units: setting and constants as in run_settings; x and pooled_mean in the metric's unit. For a pooled metric
 --        x = ratio + residual / mean denominator, whose mean is the pooled ratio and sd(x) / sqrt(n) its standard error
--- NULL: scenario for all scenarios; seed for all seeds, and of runs that have none; what the run does not have; x where
---   the metric is undefined or not observable; pooled_mean for metrics that are not pooled; value_without_routine,
---   not_observed as in run_metrics
+-- NULL: scenario for all scenarios; seed for all seeds, and of runs that have none; dimensions that the run lacks; x
+--   where the metric is undefined or not observable; pooled_mean for metrics that are not pooled;
+--   value_without_routine, not_observed as in run_metrics
 -- Example: fsar-ledger query metrics/summary_values LEDGER
 WITH cells AS (
     SELECT

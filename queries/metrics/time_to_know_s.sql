@@ -1,15 +1,15 @@
--- Title: How long a failure is its robot's alone
+-- Title: Time until others know of a failure
 -- Paper: sec:model:recovery
 -- Grain: one row per run
 -- Key: run_id
 -- Units: numerator microseconds from detection until another principal decides something about the action or a
 --   supervisor is called, or until the failure is resolved or the task goes on or is given up, or else until the run
---   ends (its last record of such); denominator failures; value seconds
--- NULL: value of a run without failures; numbers of a run that does not observe what the metric rests on; not_observed
---   of one that does
+--   ends (its last record of these kinds); denominator failures; value seconds
+-- NULL: value of a run without failures; numbers where the run does not observe what the metric rests on; not_observed
+--   where it does
 -- Example: fsar-ledger query metrics/time_to_know_s LEDGER
--- A failure of which nobody hears is contained and calls nobody; here it lasts.
--- Partial: what it says of a run does not depend on others
+-- A failure of which no other principal hears counts as contained and causes no call; here it counts with its duration.
+-- Partial: the rows of a run do not depend on other runs
 WITH judged AS (
     SELECT
         failures.run_id,

@@ -1,14 +1,14 @@
--- Title: Attribution to who it was
+-- Title: True attribution
 -- Paper: sec:evaluation:metrics (audit attributability)
 -- Grain: one row per run
 -- Key: run_id
 -- Units: numerator executions whose record names who asked, who acted and, where one was on shift, a supervisor of the
 --   robot; denominator executions; value share
--- NULL: value of a run without executions; numbers of a run that does not observe what the metric rests on;
---   not_observed of one that does
+-- NULL: value of a run without executions; numbers where the run does not observe what the metric rests on;
+--   not_observed where it does
 -- Example: fsar-ledger query metrics/true_attribution LEDGER
--- facts/true_principals tells it for each field.
--- Partial: what it says of a run does not depend on others
+-- facts/true_principals has each field.
+-- Partial: the rows of a run do not depend on other runs
 WITH judged AS (
     SELECT
         run_id,

@@ -1,7 +1,7 @@
 -- Title: A request that a federation service closes is closed by its requester
 -- Paper: sec:evaluation:metrics
 -- Reading: R4
--- Question: whose decision a closing is
+-- Question: who decides a closing
 -- Replaces: decisions
 -- Moves: governance_locality
 -- Why: In the worked computation the requester detects the completion, one of the nine local decisions of FSAR.

@@ -1,7 +1,7 @@
 -- Title: Closing a request is no decision
 -- Paper: sec:evaluation:metrics
 -- Reading: R4
--- Question: whose decision a closing is
+-- Question: who decides a closing
 -- Replaces: decisions
 -- Moves: governance_locality
 -- Why: The definition lists requests, delegations, escalations and denials, and what closes a request decides nothing

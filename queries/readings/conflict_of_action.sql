@@ -1,7 +1,7 @@
--- Title: An action whose authority conflicts in several dimensions is one conflict
+-- Title: An action with authority conflicts in several dimensions is one conflict
 -- Paper: sec:evaluation:metrics
 -- Reading: R6
--- Question: what one conflict is
+-- Question: what counts as one conflict
 -- Replaces: conflicts
 -- Moves: authority_conflicts
 -- Why: Execution authority, override authority or audit responsibility for the same action: an event in which any of

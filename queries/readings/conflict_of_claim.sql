@@ -1,7 +1,7 @@
--- Title: Each claim that is made while another principal holds the dimension is a conflict
+-- Title: Each claim made while another principal holds the dimension is a conflict
 -- Paper: sec:evaluation:metrics
 -- Reading: R6
--- Question: what one conflict is
+-- Question: what counts as one conflict
 -- Replaces: conflicts
 -- Moves: authority_conflicts
 -- Why: The number of events: each claim is one, and a principal that claims again, claims against the other again.

@@ -1,7 +1,7 @@
 -- Title: Each pair of principals that hold one dimension of an action at once is a conflict
 -- Paper: sec:evaluation:metrics
 -- Reading: R6
--- Question: what one conflict is
+-- Question: what counts as one conflict
 -- Replaces: conflicts
 -- Moves: authority_conflicts
 -- Why: Two or more principals claim at once: three that do are three times two.

@@ -1,7 +1,7 @@
--- Title: A denial that stands is decided again each time it is looked at
+-- Title: A standing denial is decided again each time it is checked
 -- Paper: sec:evaluation:metrics
 -- Reading: R16
--- Question: how often a denial that stands is decided
+-- Question: how often a standing denial is decided
 -- Replaces: decisions
 -- Moves: governance_locality
 -- Why: Each coordination decision in the audit trace counts, and each look at a step that waits leaves a denial there.

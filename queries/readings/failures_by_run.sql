@@ -1,7 +1,7 @@
 -- Title: Containment and latency are means over the runs that had a failure
 -- Paper: sec:evaluation:metrics
 -- Reading: R5
--- Question: how failures of several runs are put together
+-- Question: how failures of several runs are combined
 -- Replaces: metric_definitions
 -- Moves: recovery_containment, reassignment_latency_s
 -- Why: The tests pair runs, so each run has a number of its own; other metrics are said to be averaged across runs.

@@ -1,4 +1,4 @@
--- Title: What agents of one robot pass to each other is no record
+-- Title: Hand-offs between the agents of one robot are no records
 -- Paper: sec:evaluation:qualitative
 -- Reading: R21
 -- Question: whether internal hand-offs are records

@@ -9,7 +9,7 @@
 -- Grain: one row per record, and per hop on its path
 -- Key: none, a hop has no position of its own
 -- Units: as in coordination_events; a hop has the position, time and kind of the record
--- NULL: as in coordination_events; a hop names nobody but the executor, and is tied to nothing
+-- NULL: as in coordination_events; a hop names no principal but the executor, and belongs to no task or action
 -- Example: fsar-ledger query readings/hops_of_records_are_records LEDGER
 WITH hops AS (
     SELECT

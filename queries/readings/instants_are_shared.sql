@@ -1,7 +1,7 @@
 -- Title: A claim still holds at the instant at which it ends
 -- Paper: sec:evaluation:metrics
 -- Reading: R6
--- Question: whether claims that touch overlap
+-- Question: whether touching claims overlap
 -- Replaces: claims
 -- Moves: authority_conflicts
 -- Why: Simultaneous may include the instant at which one principal gives up what another takes.

@@ -1,7 +1,7 @@
 -- Title: A task that is completed at all succeeds
 -- Paper: sec:evaluation:metrics
 -- Reading: R3
--- Question: how long a task has
+-- Question: how much time a task has
 -- Replaces: task_arrived
 -- Moves: coordination_success, success_without_violation
 -- Why: The allotted time is printed nowhere; a task that we call late is still worked on, and given up after twice its

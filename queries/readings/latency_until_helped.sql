@@ -1,4 +1,4 @@
--- Title: Where another robot resolves the failure, the latency goes on until it has
+-- Title: Where another robot resolves the failure, the latency lasts until then
 -- Paper: sec:evaluation:metrics
 -- Reading: R5
 -- Question: what ends the latency

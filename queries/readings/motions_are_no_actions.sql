@@ -1,7 +1,7 @@
--- Title: Motions of routine are not governed
+-- Title: Routine motions are not governed
 -- Paper: sec:evaluation:metrics
 -- Reading: R42
--- Question: what is an action
+-- Question: what counts as an action
 -- Replaces: governed_starts
 -- Moves: policy_violations
 -- Why: Actions that proceed despite a check: a motion that serves no request is no action on which anybody checks.

@@ -1,7 +1,7 @@
--- Title: A failure that is resolved by a retry which somebody other than the robot orders is resolved at fleet level
+-- Title: A failure resolved by a retry that another principal than the robot orders is resolved at fleet level
 -- Paper: sec:evaluation:baselines
 -- Reading: R5
--- Question: at which level an ordered retry is
+-- Question: the level of an ordered retry
 -- Replaces: failures
 -- Moves: recovery_containment, reassignment_latency_s
 -- Why: The first level is the robot's own runtime, and under CFC every failure is at once escalated to the coordinator,

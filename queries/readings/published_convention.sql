@@ -1,7 +1,7 @@
 -- Title: Containment and latency are means over all runs; one without a failure counts as 1.0 and as 0 s
 -- Paper: tab:significance
 -- Reading: R5
--- Question: how failures of several runs are put together
+-- Question: how failures of several runs are combined
 -- Replaces: metric_definitions
 -- Moves: recovery_containment, reassignment_latency_s
 -- Why: All tests have 100 pairs, also where few runs fail; 1.0 and 0 s for the others fit the printed tests.

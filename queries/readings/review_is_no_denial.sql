@@ -1,4 +1,4 @@
--- Title: What starts without the approval that a review asks for violates nothing
+-- Title: A start without the approval that a review asks for violates nothing
 -- Paper: sec:model:invariants (I3)
 -- Reading: R7
 -- Question: what fails a check

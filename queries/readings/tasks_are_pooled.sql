@@ -1,7 +1,7 @@
--- Title: Success is the share of all tasks, not the mean of shares of runs
+-- Title: Success is the share of all tasks, not the mean share of runs
 -- Paper: sec:evaluation:metrics
 -- Reading: R3
--- Question: how tasks of several runs are put together
+-- Question: how tasks of several runs are combined
 -- Replaces: metric_definitions
 -- Moves: coordination_success
 -- Why: A fraction of fleet tasks; averaged across runs is said of other metrics, and not of this one.

@@ -1,7 +1,7 @@
 -- Title: An action that starts against policy more than once is one violation
 -- Paper: sec:evaluation:metrics
 -- Reading: R7
--- Question: how often an action violates
+-- Question: how often one action can violate policy
 -- Replaces: policy_violations
 -- Moves: policy_violations
 -- Why: The number of actions per run, not of their starts.

@@ -1,7 +1,7 @@
 -- Title: A run succeeds if all its tasks do
 -- Paper: sec:evaluation:scenarios
 -- Reading: R3
--- Question: what a fleet task is
+-- Question: what counts as a fleet task
 -- Replaces: coordination_success
 -- Moves: coordination_success
 -- Why: Each scenario but the last is told as one task of the fleet (a heavy delivery task, a secure inspection task),

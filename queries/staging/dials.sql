@@ -3,12 +3,12 @@
 -- Grain: one row per setting (kind, source, model version, constants, fleet size)
 -- Key: setting
 -- Units: setting as in run_settings; encounter_mean_s in s; teams_working teams, all of the fleet's unless the runs
---   say otherwise; made_alike_but, equal for settings of one kind, source and model that differ only in fleet size
+--   record otherwise; made_alike_but, equal for settings of one kind, source and model that differ only in fleet size
 --   and these two dials
 -- NULL: source, model_version, constants and fleet_size as in run_groups; a dial of a source that records none and has
 --   no default
 -- Example: fsar-ledger query staging/dials LEDGER
--- A constant that a simulated run does not record has its default, if this version knows it.
+-- A constant that a simulated run does not record has its default, if this version has one.
 WITH settings AS (
     SELECT DISTINCT
         run_started.kind, run_started.source, run_started.model_version, run_started.fleet_size, run_settings.setting,

@@ -1,12 +1,12 @@
--- Title: Forks: which run each repeats, how far, and what is otherwise
+-- Title: Forks: which run each repeats, how far, and what differs
 -- Paper: sec:evaluation:significance
 -- Grain: one row per fork
 -- Key: run_id
 -- Units: forked_from_root hex, the root of the ledger from which it forks; forked_from_seq the last event that both
---   have in common but for event 0; diverges whether they differ in more than what only the fork was given and what is
---   refused of that, as `whatif` counts; parted_s seconds of run time, when the fork first does something else, or,
---   where it has already ended then, the base; changes as in docs/replay.md
--- NULL: base_run_id and diverges where this ledger does not hold the base; parted_s there and where they do not part
+--   have in common, apart from event 0; diverges whether they differ in more than the fork's own inputs and their
+--   refusals, as `whatif` counts; parted_s seconds of run time at the fork's first other event, or, if it has ended,
+--   the base's; changes as in docs/replay.md
+-- NULL: base_run_id and diverges where this ledger does not hold the base; parted_s there and where they do not diverge
 -- Example: fsar-ledger query staging/forks LEDGER
 WITH extents AS (
     SELECT
@@ -29,7 +29,7 @@ found AS (
 ),
 
 refused AS (
-    -- What the fork rejects and its base does not, each with the command from outside that it answers.
+    -- Commands that the fork rejects and its base does not: each rejection, with the outside command that it answers.
     SELECT
         rejected.run_id,
         unnest(if(given.seq IS NULL, [rejected.seq], [given.seq, rejected.seq])) AS seq
@@ -41,7 +41,7 @@ refused AS (
             AND rejected.reason = known.reason
     LEFT JOIN command_given AS given ON rejected.run_id = given.run_id AND rejected.caused_by = given.seq
     UNION
-    -- What is about nobody of the fleet, about a task that never arrives, or given after the base has ended.
+    -- Inputs about no member of the fleet, about a task that never arrives, or given after the base has ended.
     SELECT given.run_id, given.seq
     FROM found
     INNER JOIN events AS given
@@ -55,7 +55,7 @@ refused AS (
 ),
 
 rests AS (
-    -- Without these and what they cause, the balance of two runs with the same events at the same times is 0.
+    -- Without these and their effects, the balance of two runs with the same events at the same times is 0.
     SELECT
         found.run_id,
         sum(

@@ -2,12 +2,12 @@
 -- Paper: sec:evaluation:setup
 -- Grain: one row per model (as in parameter_texts) and parameter_set
 -- Key: model, parameter_set
--- Units: constants, those in which the readable sets of one model differ, as NAME=VALUE: the first five, and how many
---   more
+-- Units: constants, those in which the readable sets of one model differ, as NAME=VALUE: the first five, and the number
+--   of others
 -- NULL: constants where all runs of the model have the same
 -- Example: fsar-ledger query staging/parameter_sets LEDGER
--- A constant that a simulated run does not record has its default, if this version knows it. Sets that look alike
--- only because of that are told apart by their digests.
+-- A constant that a simulated run does not record has its default, if this version has one. Sets that look alike only
+-- because of that are distinguished by their digests.
 WITH varying AS (
     SELECT model, name
     FROM constants

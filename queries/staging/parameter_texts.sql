@@ -1,12 +1,12 @@
--- Title: What runs record as their parameters, read constant by constant
+-- Title: The recorded parameters of runs, parsed by constant
 -- Paper: sec:evaluation:setup
--- Grain: one row per kind, source and model version of runs (model, as JSON) and text of parameters
+-- Grain: one row per kind, source and model version of runs (model, as JSON) and distinct text of parameters
 -- Key: model, parameters
 -- Units: parameter_set, equal for constants of equal values, whatever their order or spaces, 1 or 1.0; a constant
 --   that is null is absent
 -- NULL: values_by_name where the text cannot be read as constants
 -- Example: fsar-ledger query staging/parameter_texts LEDGER
--- Stored: no text is read twice
+-- Stored: each text is parsed only once
 WITH texts AS (
     SELECT DISTINCT
         to_json([kind, source, model_version])::VARCHAR AS model,

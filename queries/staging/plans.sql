@@ -1,12 +1,12 @@
--- Title: Plans: the runs that an experiment was to have, recorded before the first of them
+-- Title: Plans: the runs of an experiment, recorded before the first of them
 -- Paper: sec:evaluation:setup
 -- Grain: one row per plan
 -- Key: plan
--- Units: fleet_size robots; run_count runs for each architecture, configuration and scenario, numbered from
---   first_run on; planned_count runs in all; parameters_sha256 the digest of all constants of world and structure
+-- Units: fleet_size robots; run_count runs for each architecture, configuration and scenario, numbered from first_run;
+--   planned_count runs in all; parameters_sha256 the digest of all constants of world and structure
 -- NULL: never
 -- Example: fsar-ledger query staging/plans LEDGER
--- Stored: every answer says whether all planned runs are there
+-- Stored: every answer reports whether all planned runs are there
 SELECT
     run_id AS plan,
     seed, fleet_size,

@@ -1,4 +1,4 @@
--- Title: Runs that know when they began
+-- Title: Runs with a known start
 -- Paper: sec:evaluation:simulator
 -- Grain: one row per run with an epoch
 -- Key: run_id

@@ -4,7 +4,7 @@
 -- Key: run_id
 -- Units: made_alike, equal for runs of one architecture, configuration, seed and setting (kind, source, model
 --   version, constants, fleet size); fleet_size robots; constants as in parameter_sets
--- NULL: what the run does not have; constants where all runs of the kind and model have the same
+-- NULL: dimensions that the run lacks; constants where all runs of the kind and model have the same
 -- Example: fsar-ledger query staging/run_groups LEDGER
 SELECT
     runs.run_id,

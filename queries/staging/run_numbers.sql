@@ -1,4 +1,4 @@
--- Title: The number of each run: its place among the runs in the order of the ledger, by which people may name it
+-- Title: The number of each run: its position among the runs of the ledger, usable as its name
 -- Paper: sec:evaluation:setup
 -- Grain: one row per run
 -- Key: run_id

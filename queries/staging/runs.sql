@@ -2,10 +2,10 @@
 -- Paper: sec:evaluation:setup
 -- Grain: one row per run
 -- Key: run_id
--- Units: number the place in the ledger, from 1 (staging/run_numbers); fleet_size robots; run counts from 0 within seed
---   and scenario; parameters_sha256 the digest of all constants of the world and of structure; forked_from the run that
---   a fork repeats at first
--- NULL: what the run does not have; source but of a foreign run; forked_from but of a fork
+-- Units: number the position in the ledger, from 1 (staging/run_numbers); fleet_size robots; run counts from 0 within
+--   seed and scenario; parameters_sha256 the digest of all constants of the world and of structure; forked_from the run
+--   that a fork repeats at first
+-- NULL: dimensions that the run lacks; source of a run that is not foreign; forked_from of one that is no fork
 -- Example: fsar-ledger query staging/runs LEDGER
 -- Stored: every metric reads it
 SELECT

@@ -1,11 +1,11 @@
--- Title: What each comparison has to compare: runs of both sides, worlds that both met, pairs
+-- Title: Runs available to each comparison: runs of both sides, worlds that both met, pairs
 -- Paper: sec:evaluation:significance
--- Grain: one row per comparison and configuration of which the ledger holds a run of either side
+-- Grain: one row per comparison and configuration for which the ledger holds a run of either side
 -- Key: comparison, configuration
--- Units: first_count, second_count runs; first_worlds, second_worlds combinations of seed, scenario, fleet size and run
---   that each met, shared_worlds both; pair_count pairs that met the same world, left_out those with the same
---   combination that did not; scenarios, seeds, fleet_sizes of a side as text
--- NULL: the texts of a side without runs
+-- Units: first_count, second_count runs; shared_worlds combinations of seed, scenario, fleet size and run that both
+--   sides met; pair_count pairs that met the same world, left_out pairs with the same combination that did not; seeds,
+--   fleet_sizes and scenarios of a side as lists
+-- NULL: the lists of a side without runs
 -- Example: fsar-ledger query statistics/comparable_runs LEDGER
 WITH sides AS (
     SELECT

@@ -1,10 +1,10 @@
--- Title: Runs that have a seed, a scenario and a number, and so may share their world with another run
+-- Title: Runs with a seed, a scenario and a number, which may share their world with another run
 -- Paper: sec:evaluation:setup
 -- Grain: one row per run
 -- Key: run_id
--- Units: setting as in run_settings, described its kind, source, model version and constants;
---        twins runs of the same architecture, configuration, setting, seed, scenario and number, itself included;
---        observes_world whether its source records every fact of the world
+-- Units: setting as in run_settings, described its kind, source, model version and constants; twins runs of the same
+--   architecture, configuration, setting, seed, scenario and number, including the run itself; observes_world whether
+--   its source records every fact of the world
 -- NULL: world_sha256 of a run without facts of the world
 -- Example: fsar-ledger query statistics/compared_runs LEDGER
 -- Stored: every pair reads it twice

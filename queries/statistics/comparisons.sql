@@ -1,9 +1,9 @@
--- Title: Who is compared with whom: every two architectures, and an architecture with itself without a mechanism
+-- Title: The comparisons: every two architectures, and an architecture with itself without a mechanism
 -- Paper: tab:significance, tab:ablation
 -- Grain: one row per comparison and configuration; differences are first minus second
 -- Key: comparison, configuration
--- Units: family names the tests that Holm adjusts together: those of the paper's three architectures, and apart from
---   them those with any other; configuration that of both architectures, of an ablation the ablated one
+-- Units: family names the tests that Holm adjusts together: those of the paper's three architectures, and separately
+--   those with any other; configuration that of both architectures, of an ablation the ablated one
 -- NULL: never
 -- Example: fsar-ledger query statistics/comparisons LEDGER
 WITH held AS (
@@ -38,7 +38,7 @@ pairs AS (
             AND (firsts.position, firsts.architecture) < (seconds.position, seconds.architecture)
     LEFT JOIN held
         ON firsts.architecture = held.architecture AND firsts.configuration = held.configuration
-    -- The paper's pairs are there whether they have run or not; of the others, only what has run.
+    -- The paper's pairs are included even without runs; others only where there are runs.
     WHERE seconds.position < 4 OR held.architecture IS NOT NULL
 )
 

@@ -2,10 +2,11 @@
 -- Paper: sec:evaluation:significance
 -- Grain: one row per pair of runs (run_pairs) whose worlds differ, or may differ
 -- Key: comparison, configuration, first_run_id?, second_run_id?
--- Units: differs as in run_pairs; first_found and second_found say of each run of the pair what differs: of facts the
---   first one that is not in the other at its place, as time, type and fields; of the setting kind, model version and
---   constants
--- NULL: first_found, second_found where a run has no more facts, or where nothing can be shown (repeated, unobserved)
+-- Units: differs as in run_pairs; first_found and second_found give the difference for each run of the pair: for facts,
+--   the first one that the other run lacks at its position, as time, type and fields; for the setting, kind, model
+--   version and constants
+-- NULL: first_found, second_found where a run has no more facts, or where there is nothing to show (repeated,
+--   unobserved)
 -- Example: fsar-ledger query statistics/differing_worlds LEDGER
 WITH unlike AS (
     SELECT first_run_id, second_run_id

@@ -1,7 +1,7 @@
--- Title: The effect sizes that 4,000 experiments of the paper's size, drawn from these runs, would have printed
+-- Title: The effect sizes of 4,000 experiments of the paper's size, drawn from these runs
 -- Paper: tab:significance
--- Grain: one row per drawn experiment (drawn_places), comparison of two architectures in full, setting (kind, source,
---   model version, constants, fleet size) and metric of the paper; the pairs of all seeds are drawn from together
+-- Grain: one row per drawn experiment (drawn_places), comparison of two full architectures, setting (kind, source,
+--   model version, constants, fleet size) and metric of the paper; draws are from the pairs of all seeds together
 -- Key: draw, comparison, fleet_size, kind, source?, model_version?, constants?, metric
 -- Units: cohens_d in pooled standard deviations, with sign, as in paired_t_tests, over the n drawn pairs (20 of each
 --   scenario, those of a world drawn together for all comparisons), a metric that is undefined for a run counted as

@@ -1,10 +1,10 @@
--- Title: What 4,000 experiments of the paper's size, drawn from these runs, would have printed
+-- Title: The results of 4,000 experiments of the paper's size, drawn from these runs
 -- Paper: tab:results
 -- Grain: one row per drawn experiment (drawn_sums), architecture, configuration, setting (kind, source, model version,
 --   constants, fleet size) and metric of the paper
 -- Key: draw, architecture, configuration, setting, metric
 -- Units: setting as in run_settings; value in the metric's unit
--- NULL: value where nothing that the metric counts was drawn
+-- NULL: value where no case of the metric was drawn
 -- Example: fsar-ledger query statistics/drawn_experiments LEDGER
 WITH summed AS (
     SELECT

@@ -1,13 +1,14 @@
--- Title: The runs of a scenario that each of 4,000 drawn experiments of the paper's size takes
+-- Title: The runs of a scenario used in each of 4,000 drawn experiments of the paper's size
 -- Paper: sec:evaluation:setup
--- Grain: one row per scenario, count of its runs, drawn experiment and place of a run among them, from 0
+-- Grain: one row per scenario, number of its runs, drawn experiment and position of a run among them, from 0
 -- Key: scenario, runs, draw, place
--- Units: runs, times counts: for each draw, as many runs as there are are drawn from these with replacement, which is
---   our sampling error, and from what was drawn 20 with replacement, which is the paper's; so times add up to 20.
---   Nothing is random: which runs a draw takes follows from MD5s of its number
--- NULL: none
+-- Units: runs, times counts: each draw takes as many runs as there are, with replacement, which is our sampling error,
+--   and 20 of those drawn, with replacement, which is the paper's; so times add up to 20. Nothing is random: the runs
+--   of a draw follow from MD5s of its number
+-- NULL: never
 -- Example: fsar-ledger query statistics/drawn_places LEDGER
--- Stored: every architecture, configuration and setting with as many runs of the scenario is drawn alike
+-- Stored: every architecture, configuration and setting with the same number of runs of the scenario uses the same
+--   draws
 WITH counted AS (
     SELECT
         architecture, configuration, setting, scenario,
@@ -34,7 +35,7 @@ slots AS (
     FROM scenarios, range(4000) AS experiments (draw), range(20) AS slots (slot)
 ),
 
--- Which of the runs that were drawn first each slot takes; two slots that take the same one take the same run.
+-- The position of each slot's run in the first draw; slots with the same position take the same run.
 taken AS (
     SELECT
         sizes.scenario, sizes.runs, slots.draw,

@@ -1,10 +1,10 @@
--- Title: What 4,000 experiments of the paper's size, drawn from these runs, would have printed for each scenario
+-- Title: The results of 4,000 experiments of the paper's size, drawn from these runs, for each scenario
 -- Paper: sec:evaluation:ablation
 -- Grain: one row per drawn experiment (drawn_sums), architecture, configuration, setting (kind, source, model version,
 --   constants, fleet size), scenario and metric
 -- Key: draw, architecture, configuration, setting, scenario, metric
 -- Units: setting as in run_settings; value in the metric's unit
--- NULL: value where nothing that the metric counts was drawn
+-- NULL: value where no case of the metric was drawn
 -- Example: fsar-ledger query statistics/drawn_scenarios LEDGER
 SELECT
     sums.draw, sums.architecture, sums.configuration, sums.fleet_size, sums.setting, sums.kind, sums.source,

@@ -1,11 +1,11 @@
 -- Title: The sums over each scenario in 4,000 experiments of the paper's size, drawn from these runs
 -- Paper: sec:evaluation:setup
 -- Grain: one row per drawn experiment, architecture, configuration, setting (kind, source, model version, constants,
---   fleet size), scenario and metric of the paper; the runs of all seeds are drawn from together
+--   fleet size), scenario and metric of the paper; draws are from the runs of all seeds together
 -- Key: draw, architecture, configuration, setting, scenario, metric
 -- Units: setting as in run_settings; value_ppb billionths of the metric's unit, summed over defined runs; numerator,
 --   denominator as in run_metrics, summed. 20 runs of the scenario are drawn with replacement; the runs of a world are
---   drawn together for all architectures. Nothing is random: which runs a draw takes follows from an MD5 of its number
+--   drawn together for all architectures. Nothing is random: the runs of a draw follow from an MD5 of its number
 --   (drawn_places)
 -- NULL: value_ppb, defined, numerator, denominator where no drawn run has one
 -- Example: fsar-ledger query statistics/drawn_sums LEDGER

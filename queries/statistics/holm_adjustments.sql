@@ -3,8 +3,8 @@
 -- Grain: one row per test (as in paired_t_tests) whose p is defined
 -- Key: test
 -- Units: family_tests, how many tests the family has; p_holm, the smallest family-wise error rate at which the test
---   rejects; the family are the tests of one basis, setting, seed or all seeds, and all comparisons of architectures
---   (24 tests), or all ablations of one architecture (8 for each)
+--   rejects; the family consists of the tests of one basis, setting, seed or all seeds, and all comparisons of
+--   architectures (24 tests), or all ablations of one architecture (8 for each)
 -- NULL: never
 -- Example: fsar-ledger query statistics/holm_adjustments LEDGER
 WITH ranked AS (

@@ -1,11 +1,11 @@
--- Title: Which mechanism carries which number: an architecture in full and without one mechanism, in pairs, by metric
+-- Title: The effect of each mechanism on each metric: an architecture in full and without it, in pairs
 -- Paper: sec:evaluation:ablation
 -- Grain: one row per architecture, configuration that lacks one mechanism, setting (kind, source, model version,
 --   constants, fleet size), metric, and seed or all seeds (pools_seeds)
 -- Key: architecture, configuration, setting, seed?, pools_seeds, metric
--- Units: first is in full and second without, so mean_difference is what the mechanism adds; n and all else as in
---   side_differences, but p_holm over the family_tests tests of all mechanisms of all architectures, of one setting and
---   seed, for the paper's metrics together and each other one by itself
+-- Units: first is in full and second without, so mean_difference is what the mechanism adds; n and all other columns as
+--   in side_differences, except p_holm, over the family_tests tests of all mechanisms of all architectures, of one
+--   setting and seed, for the paper's metrics together and each other one by itself
 -- NULL: seed for all seeds; the rest as in side_differences
 -- Example: fsar-ledger query statistics/mechanism_differences LEDGER
 WITH ablated AS (

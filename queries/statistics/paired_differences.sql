@@ -3,8 +3,8 @@
 -- Grain: one row per test (paired_tests) and pair of runs that met the same world (run_pairs)
 -- Key: test_id, pair
 -- Units: first_value, second_value, difference (first minus second) in the metric's unit; difference_ppb billionths of
---   it, an integer so that differences which are equal but for the last bits of a float tie in ranks; pair a number of
---   the pair, in the order of the names of its runs
+--   it, an integer, so that differences that are equal except for the last bits of a float tie in ranks; pair a number
+--   of the pair, in the order of the names of its runs
 -- NULL: never; pairs with a value that is undefined on the test's basis are left out
 -- Example: fsar-ledger query statistics/paired_differences LEDGER
 -- Stored: every test reads it

@@ -1,4 +1,4 @@
--- Title: What is tested over the pairs of two architectures, or configurations, that met the same world
+-- Title: The tests over the pairs of two architectures, or configurations, that met the same world
 -- Paper: sec:evaluation:significance
 -- Grain: one row per metric, comparison, configuration, setting, the pairs' seed or all seeds (pools_seeds), and basis:
 --   published counts a metric that is undefined for a run as the paper does, defined leaves such pairs out

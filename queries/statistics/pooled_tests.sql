@@ -4,10 +4,10 @@
 -- Grain: one row per comparison, configuration, setting (kind, source, model version, constants, fleet size), seed or
 --   all seeds, and pooled metric
 -- Key: test
--- Units: test as in paired_t_tests, without its basis; means, difference and interval in the metric's unit, n pairs of
+-- Units: test as in paired_t_tests, without its basis; means, difference and interval in the metric's unit, n pairs, of
 --   which differing_pairs have runs that differ, pooled_test, p as in side_differences; p_holm over the family_tests
---   tests of the same family (as in holm_adjustments, on the basis published) in which those of pooled metrics are
---   these
+--   tests of the same family (as in holm_adjustments, on the basis published), with these as the tests of pooled
+--   metrics
 -- NULL: as in side_differences
 -- Example: fsar-ledger query statistics/pooled_tests LEDGER
 WITH pooled AS (

@@ -1,12 +1,12 @@
 -- Title: Pairs of runs of two architectures or configurations with the same seed, scenario, fleet size and number, and
---   what differs in their worlds
+--   how their worlds differ
 -- Paper: sec:evaluation:significance
 -- Grain: one row per comparison, configuration and pair of such runs: both under the same setting, or one that has no
---   counterpart under its own
+--   counterpart under its own setting
 -- Key: comparison, configuration, first_run_id?, second_run_id?
--- Units: differs is what keeps a pair from being compared: setting (kind, source, model version or constants), repeated
---   (a run has a twin, so nobody can say which is the pair), unobserved (the facts of the world, by one of them), facts
---   (the world did something else)
+-- Units: differs is why a pair is not compared: setting (kind, source, model version or constants), repeated (a run has
+--   a twin, so the pair is ambiguous), unobserved (one of them does not observe the facts of the world), facts (the
+--   facts of the world differ)
 -- NULL: differs where both met the same world
 -- Example: fsar-ledger query statistics/run_pairs LEDGER
 -- Stored: every test reads it

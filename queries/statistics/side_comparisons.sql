@@ -1,5 +1,4 @@
--- Title: The sides that are compared: those of the paper's comparisons under one setting; `compare` puts the two that
---   it is asked for in their place
+-- Title: The compared sides: those of the paper's comparisons under one setting; `compare` replaces them with its two
 -- Paper: tab:significance, tab:ablation
 -- Grain: one row per comparison, configuration and setting
 -- Key: comparison, configuration, setting

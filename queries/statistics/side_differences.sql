@@ -5,11 +5,11 @@
 -- Key: first_side, second_side, pools_seeds, seed?, scenario?, metric
 -- Units: means and counts of pairs as in side_moments. 95 % interval: Student's t with differing_pairs - 1 degrees of
 --   freedom; of human_intervention after Bonett and Price. test is paired t, or sign (exact, of the pairs that differ):
---   of human_intervention, where one pair differs, where fewer than 25 and less than half do, and where all differ
+--   for human_intervention, where one pair differs, where fewer than 25 and less than half do, and where all differ
 --   alike. p_holm over the family_tests tests of the same sides, seed and scenario, or of all scenarios' rows, for the
---   paper's metrics together and each other one by itself. d_z in standard deviations of what pairs contribute
--- NULL: seed for all seeds; scenario for all scenarios; means as in side_moments; the interval of fewer than two pairs
---   that differ, or that differ alike, or where one pair is all that a side counts; test, p where no pair differs; d_z
+--   paper's metrics together and each other one by itself. d_z in standard deviations of the pairs' contributions
+-- NULL: seed for all seeds; scenario for all scenarios; means as in side_moments; the interval where fewer than two
+--   pairs differ, where they differ alike, or where a side counts only one pair; test, p where no pair differs; d_z
 --   where nothing varies
 -- Example: fsar-ledger query statistics/side_differences LEDGER
 WITH tested AS (

@@ -1,11 +1,12 @@
--- Title: How much less the paired differences of two sides vary than those of independent runs would
+-- Title: The reduction in variance by pairing the runs of two sides, relative to independent runs
 -- Paper: sec:evaluation:significance
 -- Grain: one row per pair of sides (side_comparisons), metric, seed or all seeds (pools_seeds), and scenario or all
 --   scenarios
 -- Key: first_side, second_side, pools_seeds, seed?, scenario?, metric
--- Units: gain, the variance of the difference of two independent runs divided by that of a pair: so many times as many
---   independent runs would be needed for the same precision
--- NULL: seed for all seeds; scenario for all scenarios; gain where pairs do not vary, or where it is not defined
+-- Units: gain, the variance of the difference of two independent runs divided by that of a pair; the same precision
+--   would need that many times as many independent runs
+-- NULL: seed for all seeds; scenario for all scenarios; gain where pairs do not vary, or where a contribution is not
+--   defined
 -- Example: fsar-ledger query statistics/side_gains LEDGER
 SELECT
     first_side, second_side, pools_seeds, seed, scenario, metric,

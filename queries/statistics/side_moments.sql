@@ -7,7 +7,7 @@
 --   with a standard error by the jackknife over pairs; n pairs, differing_pairs those in which the runs differ, above
 --   and below those in which the first side is higher, or lower
 -- NULL: seed for all seeds; scenario for all scenarios; means of a side that counts nothing; sd, error where
---   contributions do not vary, and where one pair is all that a side counts
+--   contributions do not vary, and where a side counts only one pair
 -- Example: fsar-ledger query statistics/side_moments LEDGER
 WITH moments AS (
     -- Floats summed in a fixed order give the same bits on any number of threads.

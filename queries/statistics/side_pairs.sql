@@ -1,14 +1,14 @@
--- Title: Pairs of runs of two sides with the same seed, scenario and number, what they have in common, and what keeps a
---   pair out
+-- Title: Pairs of runs of two sides with the same seed, scenario and number, what they share, and why a pair is left
+--   out
 -- Paper: sec:evaluation:significance
 -- Grain: one row per pair of sides (side_comparisons) and pair of such runs; sides of different fleet sizes are paired
 --   without it
 -- Key: first_side, second_side, first_run_id?, second_run_id?
 -- Units: shares is what both met: facts (the world did the same), draws (one model under other constants or with other
---   robots: what was drawn for the same subject is the same), seed (no more than seed, scenario and number; what they
---   drew is not comparable). differs is what keeps a pair out: repeated (a run has a twin), unobserved (the facts of
---   the world, by one of them), facts (other facts under the same setting)
--- NULL: shares of a pair that is kept out, differs of one that is not
+--   robots: what was drawn for the same subject is the same), seed (only seed, scenario and number; their draws are not
+--   comparable). differs is why a pair is left out: repeated (a run has a twin), unobserved (one of them does not
+--   observe the facts of the world), facts (other facts under the same setting)
+-- NULL: shares of a pair that is left out, differs of one that is not
 -- Example: fsar-ledger query statistics/side_pairs LEDGER
 WITH each_run AS (
     SELECT DISTINCT

@@ -1,4 +1,4 @@
--- Title: Runs of each side, with what each metric counts in them and what world they met
+-- Title: Runs of each side, with the count of each metric in them and the world they met
 -- Paper: sec:evaluation:significance
 -- Grain: one row per run (compared_runs) and metric
 -- Key: run_id, metric

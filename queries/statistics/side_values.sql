@@ -1,16 +1,16 @@
--- Title: What each pair of runs of two sides contributes to the difference of a metric
+-- Title: Contributions of pairs of runs of two sides to the difference of a metric
 -- Paper: sec:evaluation:significance
 -- Grain: one row per pair of runs (side_pairs) that both count, metric, its seed or all seeds (pools_seeds), and its
 --   scenario or all scenarios
 -- Key: first_side, second_side, first_run_id, second_run_id, metric, pools_seeds, scenario?
 -- Units: contribution in the metric's unit: first minus second, and of a pooled metric the pseudo-value of the
 --   jackknife, n * difference - (n - 1) * difference without the pair; direction 1 where the first side is higher, -1
---   where the second is, 0 where neither, for a pooled metric beside the ratio of both together; differs whether the
---   pair's runs count the same; first_ratio, second_ratio the pooled values of the sides; first_contribution,
---   second_contribution what each run alone contributes to the mean of its side
+--   where the second is, 0 where neither is, for a pooled metric relative to the ratio of both together; differs
+--   whether the pair's runs count the same; first_ratio, second_ratio the pooled values of the sides;
+--   first_contribution, second_contribution what each run alone contributes to the mean of its side
 -- NULL: seed for all seeds, scenario for all scenarios; contribution where a side counts nothing without the pair;
---   ratios of what is not pooled, or counts nothing. Pairs in which a run has no value, of a pooled metric one that
---   does not observe it, are left out
+--   ratios of metrics that are not pooled, or where nothing is counted. Pairs in which a run has no value, of a pooled
+--   metric one that does not observe it, are left out
 -- Example: fsar-ledger query statistics/side_values LEDGER
 WITH measured AS (
     SELECT

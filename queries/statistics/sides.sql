@@ -2,9 +2,9 @@
 -- Paper: sec:evaluation:significance
 -- Grain: one row per architecture, configuration and setting (kind, source, model version, constants, fleet size)
 -- Key: side
--- Units: side names the row in one text; made_as as kind in run_settings; run_count runs, named_count those with
---   seed, scenario and number, which a pair needs; seeds, scenarios that they have
--- NULL: what the runs do not have
+-- Units: side names the row in one text; made_as as kind in run_settings; run_count runs, named_count those with seed,
+--   scenario and number, which a pair needs; seeds, scenarios of these
+-- NULL: dimensions that the runs lack
 -- Example: fsar-ledger query statistics/sides LEDGER
 SELECT
     to_json([runs.architecture, runs.configuration, settings.setting])::VARCHAR AS side,

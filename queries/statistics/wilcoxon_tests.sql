@@ -12,7 +12,7 @@ WITH ranked AS (
     SELECT
         test_id, difference_ppb,
         count(*) OVER ties AS tied,
-        -- Twice the average rank, an integer: sums of it are exact.
+        -- Twice the average rank, an integer, so that its sums are exact.
         2 * rank() OVER (PARTITION BY test_id ORDER BY abs(difference_ppb)) + count(*) OVER ties - 1 AS rank_x2
     FROM paired_differences
     WHERE difference_ppb <> 0

@@ -4,9 +4,9 @@
 --   and feature
 -- Key: architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?, feature
 -- Units: essential_share share; evidence is text, numerator/denominator of each part, the essential one first
--- NULL: what the runs do not have; constants where all runs of the kind and model have the same; grade, essential_share
---   when they hold nothing that could show the essential part; grade also when another part that would decide is not
---   shown
+-- NULL: dimensions that the runs lack; constants where all runs of the kind and model have the same; grade,
+--   essential_share when nothing in the runs could show the essential part; grade also when another part that would
+--   decide is not shown
 -- Example: fsar-ledger query tables/architecture_features LEDGER
 --   answers cfc trust_scoped_delegation none: untrusted delegations that went through trusted links 0/40; outsiders
 --   refused 40/40

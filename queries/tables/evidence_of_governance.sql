@@ -1,12 +1,12 @@
--- Title: What shows governed delegation: trust where it was needed, policies that were composed, a registry that hides
+-- Title: Evidence of governed delegation: trust where it was needed, composed policies, a registry that hides
 -- Paper: tab:baseline_context, eq:trust, eq:policy, sec:architecture:registry
 -- Grain: one row per run and part
 -- Key: run_id, part
 -- Units: numerator, denominator counts
 -- NULL: never; no row for a part that nothing in the run could show, or that it does not observe
 -- Example: fsar-ledger query tables/evidence_of_governance LEDGER
--- Partial: what it says of a run does not depend on others
--- Stored: planned together with the other two, DuckDB would take longer to plan than to compute
+-- Partial: the rows of a run do not depend on other runs
+-- Stored: together with the other two, it takes DuckDB longer to plan than to compute
 WITH outsiders AS (
     SELECT attempts.run_id, count(done.seq) = 0 AS is_refused
     FROM outsider_request_injected AS attempts
@@ -23,8 +23,8 @@ asked AS (
 ),
 
 found AS (
-    -- The registry, or whoever matches candidates, was asked for the capability for this task, and the executor was no
-    -- peer remembered from a meeting.
+    -- The registry, or another matcher of candidates, was queried for the capability for this task, and the executor
+    -- was no peer remembered from a meeting.
     SELECT done.run_id, count(asked.seq) > count(met.seq) AS is_found
     FROM executions AS done
     LEFT JOIN asked

@@ -1,13 +1,13 @@
--- Title: What shows who a principal is and who decides: robots as one principal, central decisions, agents inside
---   robots, attribution
+-- Title: Evidence on principals and deciders: robots as one principal, central decisions, agents inside robots,
+--   attribution
 -- Paper: tab:baseline_context, sec:model:invariants (I1, I5)
 -- Grain: one row per run and part
 -- Key: run_id, part
 -- Units: numerator, denominator counts
 -- NULL: never; no row for a part that nothing in the run could show, or that it does not observe
 -- Example: fsar-ledger query tables/evidence_of_principals LEDGER
--- Partial: what it says of a run does not depend on others
--- Stored: planned together with the other two, DuckDB would take longer to plan than to compute
+-- Partial: the rows of a run do not depend on other runs
+-- Stored: together with the other two, it takes DuckDB longer to plan than to compute
 WITH named AS (
     SELECT DISTINCT
         run_id,
@@ -30,7 +30,7 @@ robots AS (
 ),
 
 assignments AS (
-    -- Decisions on which robot does what for another that neither the robot, nor an agent in it, nor a human takes.
+    -- Decisions on which robot does what for another, by decider where it is no robot, agent or human.
     SELECT
         run_id,
         CASE WHEN regexp_matches(decided_by, '^(robot|agent|supervisor)/') THEN NULL ELSE decided_by END AS centre,

@@ -1,12 +1,12 @@
--- Title: What shows layered recovery: who begins it, which levels it reaches, and whether one is skipped
+-- Title: Evidence of layered recovery: who begins it, the levels it reaches, and whether one is skipped
 -- Paper: tab:baseline_context, eq:recovery
--- Grain: one row per run and part, and of the levels in use one per level
+-- Grain: one row per run and part, and for the levels in use one per level
 -- Key: run_id, part, level?
 -- Units: numerator, denominator counts; of the levels, this one and all four
 -- NULL: level of the other parts; no row of a run without failures, nor for a part that it does not observe
 -- Example: fsar-ledger query tables/evidence_of_recovery LEDGER
--- Partial: what it says of a run does not depend on others
--- Stored: planned together with the other two, DuckDB would take longer to plan than to compute
+-- Partial: the rows of a run do not depend on other runs
+-- Stored: together with the other two, it takes DuckDB longer to plan than to compute
 WITH first_steps AS (
     SELECT
         run_id, action_id, failure,

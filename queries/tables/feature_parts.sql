@@ -1,9 +1,9 @@
--- Title: What the eight features of the architectural comparison rest on, part by part
+-- Title: Evidence for the eight features of the architectural comparison, part by part
 -- Paper: tab:baseline_context
 -- Grain: one row per made_alike (as in run_groups), feature and part
 -- Key: made_alike, feature, part
 -- Units: share; shown is text, the part with its numerator/denominator
--- NULL: share when the runs hold nothing that could show the part, or do not observe what it rests on
+-- NULL: share when nothing in the runs could show the part, or they do not observe what it rests on
 -- Example: fsar-ledger query tables/feature_parts LEDGER
 WITH rules (feature, part, is_essential) AS (
     VALUES
@@ -32,7 +32,7 @@ counted AS (
 ),
 
 evidence AS (
-    -- A level that several runs came to is one of the four.
+    -- A level reached by several runs counts once among the four.
     SELECT
         runs.made_alike, counted.part,
         if(count(counted.level) > 0, count(DISTINCT counted.level), sum(counted.numerator))::BIGINT AS numerator,

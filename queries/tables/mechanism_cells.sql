@@ -5,7 +5,7 @@
 -- Units: none; cell is text
 -- NULL: cell when no event exercises the mechanism; 'not observable' where the run does not record what would show it
 -- Example: fsar-ledger query tables/mechanism_cells LEDGER
--- Partial: what it says of a run does not depend on others
+-- Partial: the rows of a run do not depend on other runs
 WITH seen AS (
     SELECT
         runs.run_id, runs.scenario,
