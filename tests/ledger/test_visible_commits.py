@@ -10,7 +10,7 @@ from unittest.mock import patch
 import pytest
 
 from fsar_ledger.base.errors import NotALedger, WriteFailed
-from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.rows.runs import piece
 from fsar_ledger.ledger.store import disk, snapshot
 from fsar_ledger.ledger.store.append import Writer
@@ -169,6 +169,14 @@ def test_a_commit_that_was_on_disk_and_not_visible_counts_once_its_writer_is_gon
         assert writer.head.size == 25
         writer.add([piece(RUN, 25, 40)])
     assert (verify(path).events, verify(path).remarks) == (40, ())
+
+
+def test_the_frame_before_a_hidden_one_is_rewritten_with_it(tmp_path: Path) -> None:
+    """Its first byte was to be synced with the hidden one, and that sync may have failed."""
+    hidden_frame(tmp_path / "ledger")
+    journal = open_ledger(tmp_path / "ledger").journal
+    assert journal.hidden == (journal.last,)
+    assert (journal.last > 0, journal.unsure) == (True, 0)
 
 
 def test_two_commits_that_are_not_visible_count_where_the_power_failed_between_them(tmp_path: Path) -> None:

@@ -78,8 +78,19 @@ class Journal(msgspec.Struct):
 
     @property
     def unsure(self) -> int:
-        """Return the offset in `journal.jsonl` of the first frame that may not be on disk: the last or a hidden one."""
-        return min((self.last, *self.hidden))
+        """Return the offset in `journal.jsonl` of the first frame that may not be on disk.
+
+        It is the last frame; or, if one is hidden, the frame before that, whose first byte is synced with the hidden
+        one.
+        """
+        if not self.hidden:
+            return self.last
+        offset = before = 0
+        for frame in self.frames[self.sealing :]:
+            if offset >= self.hidden[0]:
+                break
+            before, offset = offset, offset + size_of(frame)
+        return min(before, self.last)
 
     def add(self, frame: Frame, tree: Frontier) -> None:
         """Add a frame that was written at the end."""
