@@ -212,7 +212,7 @@ def concerns_query() -> Query:
     return _generated(
         "facts/event_concerns",
         f"WITH concerns (type, concern) AS (\n    VALUES\n    {rows}\n)\n\nSELECT *\nFROM concerns\n",
-        "Which concern each event type belongs to; a run says which concerns its source records",
+        "The concern of each event type; a run declares which concerns its source records",
         grain="one row per event type, but for those that say what a run is",
         key="type",
     )
@@ -255,7 +255,7 @@ def world_query() -> Query:
     return _generated(
         "staging/world_facts",
         f"SELECT run_id, seq, time_us, type, concat_ws(' ', {values}) AS fact\nFROM events\nWHERE type IN ({tags})\n",
-        "What the world did, whoever governed it: facts that come from draws or from outside",
+        "Facts of the world, whatever the architecture: events from draws or from outside",
         grain="one row per event of a type of the world",
         units="time_us microseconds; fact its fields as NAME=VALUE, the values as JSON",
         paper="see the event types",
@@ -280,22 +280,22 @@ def metric_queries() -> list[Query]:
         _generated(
             "metrics/metric_concerns",
             definitions.concerns_sql(),
-            "What each metric rests on: without these concerns nothing of it can be judged",
+            "The concerns that each metric rests on; without them it cannot be judged",
             grain="one row per metric and concern",
             key="judge, concern",
         ),
         _generated(
             "metrics/metric_records",
             definitions.records_sql(),
-            "What each metric rests on in a run that says which event types and fields its source records; a metric "
-            "without a row needs all of its concerns",
+            "The records that each metric rests on, in a run that declares its types and fields; a metric without "
+            "a row needs all of its concerns",
             grain="one row per metric and record (an event type, or TYPE.FIELD)",
             key="judge, record",
         ),
         _generated(
             "metrics/metric_measurements",
             definitions.measured_sql(),
-            "What every metric measures of each run",
+            "The measurements of every metric in each run",
             grain="one row per run and metric",
             key="run_id, metric",
             units="as in each metric's own query",
