@@ -122,7 +122,7 @@ class _Chances:
         for begin in range(0, len(pending), MOST_AT_ONCE):
             batch = pending[begin : begin + MOST_AT_ONCE]
             with without_collection():
-                runs = [_played(self._repeated, at_us, world) for at_us, world in batch]
+                runs = [_future(self._repeated, at_us, world) for at_us, world in batch]
             for (at_us, _), has_it in zip(batch, self._outcome.of(runs), strict=True):
                 avoided.setdefault(at_us, []).append(None if has_it is None else not has_it)
             self._played += len(batch)
@@ -137,7 +137,7 @@ def _other_world(repeated: Rerun, number: int) -> World:
     return environment_of(msgspec.structs.replace(recipe.spec, seed=recipe.spec.seed + 1 + number), recipe.constants)
 
 
-def _played(repeated: Rerun, at_us: int, world: World) -> tuple[Sequence[int], Sequence[int | None], Sequence[object]]:
+def _future(repeated: Rerun, at_us: int, world: World) -> tuple[Sequence[int], Sequence[int | None], Sequence[object]]:
     """Play one future from this moment."""
     recipe = repeated.base.recipe
     environment = environment_of(recipe.spec, recipe.constants)

@@ -356,14 +356,14 @@ def _alone(all_verdicts: Sequence[Verdict], pairs: dict[int, int]) -> list[Verdi
     """Return the verdicts that only one run has: violations matched by event, conflicts by subject."""
     first_seq_of = {second: first for first, second in pairs.items()}
 
-    def place(one: Verdict) -> object:
+    def verdict_key(one: Verdict) -> object:
         if one.seq is None:
             return one.verdict, one.what
         seq = one.seq if one.run == FIRST else first_seq_of.get(one.seq, -1 - one.seq)
         return one.verdict, seq
 
-    sides = {run: {place(verdict) for verdict in all_verdicts if verdict.run == run} for run in (FIRST, SECOND)}
-    return [verdict for verdict in all_verdicts if place(verdict) not in sides[_other(verdict.run)]]
+    sides = {run: {verdict_key(verdict) for verdict in all_verdicts if verdict.run == run} for run in (FIRST, SECOND)}
+    return [verdict for verdict in all_verdicts if verdict_key(verdict) not in sides[_other(verdict.run)]]
 
 
 def _other(run: str) -> str:

@@ -109,7 +109,7 @@ class Rerun(NamedTuple):
         """Return the fork with these changes; a name that matches nothing here changes nothing. Raises: UsageError."""
         return fork(self.base.recipe, self.base.record, self.base.root, changes)
 
-    def played(self, changes: Changes) -> Fork:
+    def checked_fork(self, changes: Changes) -> Fork:
         """Return the fork with these changes. Raises: UsageError; also if it cannot be played with an added fact."""
         try:
             return self.fork(changes)
@@ -128,7 +128,7 @@ class Rerun(NamedTuple):
         """Return the fork with these changes. Raises: UsageError if one of them does nothing."""
         for change in changes:
             _require_meant(self, change)
-        forked = self.played(changes)
+        forked = self.checked_fork(changes)
         for change in changes:
             if isinstance(change, Answer):
                 _require_used(self, change, forked)

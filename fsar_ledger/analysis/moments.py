@@ -145,13 +145,13 @@ class Walk:
             )
         if name in ("next-of", "go", "find") and not about:
             raise UsageError(f"move {name}: expected what to look for, {MOVES[name]}")
-        seq = self._found(name, about, seq_at)
+        seq = self._target_seq(name, about, seq_at)
         if seq is None:
             return f"found none: {MOVES[name].partition(':')[0]}"
         self.seq = seq
         return None
 
-    def _found(self, name: str, about: str, seq_at: Callable[[str], int] | None) -> int | None:
+    def _target_seq(self, name: str, about: str, seq_at: Callable[[str], int] | None) -> int | None:
         last = len(self.record.events) - 1
         match name:
             case "next" | "previous":

@@ -55,10 +55,10 @@ class Reads:
         """Return the state as an observed decision sees it."""
         observed = State.__new__(State)
         for slot in State.__slots__:
-            setattr(observed, slot, self.shown(getattr(state, slot), (Step("field", slot),)))
+            setattr(observed, slot, self.wrap_value(getattr(state, slot), (Step("field", slot),)))
         return observed
 
-    def shown(self, value: Any, path: Path) -> Any:
+    def wrap_value(self, value: Any, path: Path) -> Any:
         """Return the value as a decision sees it, with its reads noted; a value without parts is itself noted."""
         match value:
             case dict() | SharedMap():
@@ -100,18 +100,18 @@ class _Structure:
         member = getattr(type(self._value), name, None)
         if isinstance(member, property) and member.fget is not None:
             return member.fget(self)
-        return self._reads.shown(getattr(self._value, name), (*self._path, Step("field", name)))
+        return self._reads.wrap_value(getattr(self._value, name), (*self._path, Step("field", name)))
 
     def __replace__(self, **changes: object) -> "_Structure":
         return _Structure(self._reads, self._value, self._path, {**self._changes, **changes})
 
     def __eq__(self, other: object) -> bool:
-        return _whole(self) == _whole(other)
+        return _plain_value(self) == _plain_value(other)
 
     __hash__ = None  # type: ignore[assignment]
 
 
-def _whole(value: object) -> object:
+def _plain_value(value: object) -> object:
     """Return the plain value, which is read as a whole."""
     if not isinstance(value, _Structure):
         return value
@@ -149,7 +149,7 @@ class _Mapping(_Members, Mapping[Any, Any]):
         if key not in self._value:
             self._reads.note(path, ABSENT)
             raise KeyError(key)
-        value = self._reads.shown(self._value[key], path)
+        value = self._reads.wrap_value(self._value[key], path)
         if isinstance(value, _Structure | _Members):
             _ = key in self
         return value
@@ -212,7 +212,7 @@ class _WatchedPath:
         self.changes: list[tuple[int, tuple[int, ...]]] | None = None
         self.since: dict[Any, int] = {}
 
-    def at(self, path: Path) -> "_WatchedPath":
+    def watch_path(self, path: Path) -> "_WatchedPath":
         """Return the node at the path from here, and watch all nodes on the way."""
         node = self
         for step in path:
@@ -241,7 +241,7 @@ def last_writes(events: Sequence[Event], asked: Iterable[tuple[Path, int]]) -> d
     queries = list(asked)
     root = _WatchedPath()
     for path, _ in queries:
-        root.at(path).changes = []
+        root.watch_path(path).changes = []
     state = State()
     for seq in range(max((seq for _, seq in queries), default=0)):
         kind = type(events[seq])
@@ -249,5 +249,5 @@ def last_writes(events: Sequence[Event], asked: Iterable[tuple[Path, int]]) -> d
         slots = [(slot, getattr(state, slot)) for slot in names]
         apply(state, events[seq])
         for slot, previous in slots:
-            root.at((Step("field", slot),)).look(previous, getattr(state, slot), seq)
-    return {(path, seq): root.at(path).before(seq) for path, seq in queries}
+            root.watch_path((Step("field", slot),)).look(previous, getattr(state, slot), seq)
+    return {(path, seq): root.watch_path(path).before(seq) for path, seq in queries}

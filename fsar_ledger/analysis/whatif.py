@@ -170,7 +170,7 @@ def forks_of(bases: Iterable[Base], changes: Changes) -> Iterator[Pair]:
     for base in bases:
         repeated = rerun(base)
         try:
-            fork = repeated.played(changes)
+            fork = repeated.checked_fork(changes)
         except UsageError as error:
             raise UsageError(f"{error}{of_run(base.record.run_id)}") from error
         yield Pair(base, fork, refusal(repeated, changes, fork))

@@ -283,7 +283,7 @@ def reasons(record: LedgerRun, seq: int, depth: int | None = DEPTH) -> Reasons:
     batches: dict[int, DecisionTrace] = {}
     pending = [first_of(record, seq)]
     while pending and (depth is None or depth > 0):
-        for trace in _made(record, pending):
+        for trace in _decision_traces(record, pending):
             batches[trace.seq] = trace
         rests_on = [first_of(record, below) for above in pending for below in batches[above].rests_on]
         pending = [below for below in dict.fromkeys(rests_on) if below not in batches]
@@ -298,7 +298,7 @@ def _triggers(record: LedgerRun, seq: int) -> Iterator[int]:
         seq = cause
 
 
-def _made(record: LedgerRun, firsts: list[int]) -> Iterator[DecisionTrace]:
+def _decision_traces(record: LedgerRun, firsts: list[int]) -> Iterator[DecisionTrace]:
     """Yield how the batches that begin at these seqs came about."""
     decided = decisions(record, firsts)
     reads: list[tuple[Path, int]] = []
@@ -341,7 +341,7 @@ def _decided(
         command=command,
         triggered_by=cause,
         scheduled_by=decision.reaction.handler,
-        answers=tuple(_answered(decision.reaction.answers)),
+        answers=tuple(_named_answers(decision.reaction.answers)),
         waited_for=decision.waited_for,
         scheduled_reads=tuple(_reads(decision.reaction.reads, cause + 1, writers)),
         reads=reads,
@@ -356,7 +356,7 @@ def _count(record: LedgerRun, first: int) -> int:
     return end - first
 
 
-def _answered(answers: Iterable[tuple[Ask, int]]) -> Iterator[PortAnswer]:
+def _named_answers(answers: Iterable[tuple[Ask, int]]) -> Iterator[PortAnswer]:
     """Yield the questions that have a name, with their answers; the others take no time."""
     for ask, answer in answers:
         name = name_of(ask)

@@ -271,7 +271,7 @@ def test_a_future_has_all_that_happens_in_its_world_from_its_moment_on(monkeypat
         worlds.append(environment_of(msgspec.structs.replace(spec, seed=spec.seed + 1 + number), Constants()))
         monkeypatch.setattr(avoidability, "kernel_of", met)
         with pytest.raises(Played):
-            avoidability._played(base, moment_us, worlds[-1])
+            avoidability._future(base, moment_us, worlds[-1])
     for world, facts in zip(worlds, played, strict=True):
         for kind in kinds:
             later, drawn = (
