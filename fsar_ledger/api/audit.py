@@ -63,7 +63,7 @@ class Audit(Answer, msgspec.Struct, frozen=True):
         if screen.is_fitted:
             yield from _on_a_terminal(self.rows, screen)
         else:
-            yield screen.table([_shown(row) for row in self.rows])
+            yield screen.table([_display_row(row) for row in self.rows])
         yield printable.lines("", *_footer(self.rows, screen.path))
         if self.runs_unreadable:
             runs = printable.counted(self.runs_unreadable, "run")
@@ -118,7 +118,7 @@ def audit(
     return Audit(rows, holds, unreadable, provenance)
 
 
-def _shown(row: "AuditRow") -> Row:
+def _display_row(row: "AuditRow") -> Row:
     first = None if row.first_run is None else f"{row.first_run} seq {row.first_seq}: {row.first_found}"
     cases = "" if row.holds is None or row.cases is None else f" ({printable.counted(row.cases, 'case')})"
     return {

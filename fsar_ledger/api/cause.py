@@ -78,11 +78,13 @@ class CauseResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
                 + " there is no such outcome"
             )
             tail.append(
-                f"{_named(item for item in self.elements if item.is_necessary)} necessary in the whole run, too"
+                f"{_names_are(item for item in self.elements if item.is_necessary)} necessary in the whole run, too"
             )
             if self.presupposed:
                 without = "it" if len(self.presupposed) == 1 else "any one of them"
-                tail.append(f"{_named(self.presupposed)} presupposed: without {without}, there is no value to compare")
+                tail.append(
+                    f"{_names_are(self.presupposed)} presupposed: without {without}, there is no value to compare"
+                )
         elif self.unknown:
             head.append(
                 f"none of {self.candidates:,} facts and answers is known to be a cause: without any one of these, "
@@ -202,7 +204,7 @@ def cause(
     )
 
 
-def _named(elements: "Iterable[Element]") -> str:
+def _names_are(elements: "Iterable[Element]") -> str:
     names = [printable.value(element.name) for element in elements]
     return f"{printable.some(names)} {'is' if len(names) == 1 else 'are'}" if names else "none of them is"
 

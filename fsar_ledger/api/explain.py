@@ -101,8 +101,8 @@ class Account(Answer, msgspec.Struct, frozen=True):
 
     def text(self, screen: Screen) -> Iterator[printable.SafeText]:
         """Yield the timeline, the parties, the recovery, and how to prove what decided."""
-        steps, parties = shown([] if self.is_failure else self.timeline), shown([self.parties])[0]
-        lines = account_lines(screen, (self.run, self.action), steps, parties, shown(self.recovery))
+        steps, parties = printable_rows([] if self.is_failure else self.timeline), printable_rows([self.parties])[0]
+        lines = account_lines(screen, (self.run, self.action), steps, parties, printable_rows(self.recovery))
         hints = [self._proof(screen, self.decisive_seq)]
         hints += [self._proof(screen, seq, " (the window or rule)") for seq in self.grounds]
         yield printable.lines(*lines, "", *hints)
@@ -113,7 +113,7 @@ class Account(Answer, msgspec.Struct, frozen=True):
         return f"`fsar-ledger prove {printable.word(screen.path)} {event}` proves event {seq}{what} to others"
 
 
-def _asked(ledger: "Ledger", run: Run | None, request: str | None, failure: str | None) -> Answer:
+def _explain_or_list(ledger: "Ledger", run: Run | None, request: str | None, failure: str | None) -> Answer:
     if request is not None and failure is not None:
         raise UsageError(
             f"--request {request} and --failure {failure}: expected one of them; --request shows a failure, too"
@@ -147,7 +147,7 @@ def _asked(ledger: "Ledger", run: Run | None, request: str | None, failure: str 
     "explain out/ledger --run 2 --request A1-1/2.1 --svg out/request.svg",
     "explain out/ledger --run 1 --json",
     takes=("svg", "pdf", *WIDE),
-    call=_asked,
+    call=_explain_or_list,
 )
 def explain(
     ledger: "Ledger",
@@ -279,7 +279,7 @@ def _no_action(database: "Database", ledger: Path, run: str | None, action: str,
     return f"{action}: there is no such request in {where}{hint} `fsar-ledger {command}` lists them"
 
 
-def shown(rows: Sequence[Mapping[str, Any]]) -> Rows:
+def printable_rows(rows: Sequence[Mapping[str, Any]]) -> Rows:
     """Return the rows with each text printable: at most `MAX_WORDS` characters of messages, fewer of names."""
     return [
         {

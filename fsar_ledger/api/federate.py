@@ -170,7 +170,7 @@ class Decisions(Answer):
         """Yield a line for each command, and for decisions without one; the run can continue after the last."""
         with self._federation as federation:
             for numbered in _ticking(self._lines):
-                yield from _told(federation.advance())
+                yield from _event_lines(federation.advance())
                 if numbered is None:
                     continue
                 number, line = numbered
@@ -179,7 +179,7 @@ class Decisions(Answer):
                 except UsageError as error:
                     self._refused += 1
                     yield _line({"line": number, "error": f"{error}"})
-            yield from _told(federation.advance())
+            yield from _event_lines(federation.advance())
 
 
 def _ticking(lines: BinaryIO) -> Iterator[tuple[int, bytes] | None]:
@@ -222,7 +222,7 @@ def _decided(federation: "Federation", line: bytes) -> Mapping[str, object]:
     return outcome | ({"followed": _names(decision.followed)} if decision.followed else {})
 
 
-def _told(events: "Sequence[Event]") -> Iterator[SafeText]:
+def _event_lines(events: "Sequence[Event]") -> Iterator[SafeText]:
     if events:
         yield _line({"events": _names(events)})
 

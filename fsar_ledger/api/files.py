@@ -250,7 +250,7 @@ def write_as(
         events = sum(event_count(view.parts(run)) for run in runs)
         return ExportedFile(events - len(runs[1:]), ()), provenance
     try:
-        return _written(view, file, format, name, progress), provenance
+        return _write_export(view, file, format, name, progress), provenance
     except ImportError as error:
         library = (error.name or "").partition(".")[0]
         if library not in EXTRAS:
@@ -261,7 +261,7 @@ def write_as(
         ) from error
 
 
-def _written(view: "View", file: Path, format: str, run: str | None, progress: Progress | None) -> ExportedFile:
+def _write_export(view: "View", file: Path, format: str, run: str | None, progress: Progress | None) -> ExportedFile:
     if format == "delta":
         return write_delta(file, view)
     with whole_file(file) as temporary:

@@ -263,7 +263,7 @@ def witness_serve(
     return ServedWitness(Path(state), log, host, port, clock=clock, ticks=ticks, say=say, show=show)
 
 
-def _ask(
+def _ask_witnesses(
     ledger: "Ledger",
     policy: Path,
     out: Place | None = declare("FILE", "Where the cosigned checkpoint goes; replaced.", "print it"),
@@ -293,7 +293,7 @@ def _ask(
     "witness ask out/ledger --policy witnesses.policy --out out/cosigned",
     name="witness ask",
     takes=(),
-    call=_ask,
+    call=_ask_witnesses,
 )
 def witness_ask(
     ledger: "Ledger",

@@ -54,7 +54,7 @@ class Timeline(Answer):
             yield printable.line("no such events")
 
 
-def _asked(
+def _requested_log(
     ledger: "Ledger",
     run: Run | None,
     since: Time,
@@ -86,7 +86,7 @@ def _asked(
     "log out/ledger --from 10s --to 30s --robot B1",
     "log out/ledger --run all --about requests,policy --json",
     takes=("verified",),
-    call=_asked,
+    call=_requested_log,
     after_interruption="what is shown stays committed, and nothing was changed",
 )
 def log(
@@ -174,7 +174,7 @@ class Lines:
 
     def text(self, rows: Sequence[dict[str, Any]]) -> SafeText:
         """Return the rows as lines, under the name of their run."""
-        texts = [_shown(row) for row in rows]
+        texts = [_row_texts(row) for row in rows]
         previous = self._widths
         self._widths = (
             max([previous[0], *(len(action) for action, _, _ in texts)]),
@@ -195,7 +195,7 @@ class Lines:
             yield f"{row['seq']:>6} {when}  {action:<{action_width}}  {names:<{names_width}}  {words}"
 
 
-def _shown(row: dict[str, Any]) -> tuple[str, str, str]:
+def _row_texts(row: dict[str, Any]) -> tuple[str, str, str]:
     """Return the action, who tells whom, and the words with their note, as printable text."""
     sender, receiver, action = (
         None if row[name] is None else printable.value(row[name]) for name in ("sender", "receiver", "action_id")

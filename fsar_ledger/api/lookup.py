@@ -13,7 +13,7 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.metrics.sql_values import PRINCIPALS, RUNS, TIME, names_on_record, require_known
 from fsar_ledger.metrics.verified import is_verified_for_runs, require_runs
 
-from .names import MAX_DIGITS, Time, microseconds, named, principal_named, run_named
+from .names import MAX_DIGITS, Time, known_name, microseconds, principal_named, run_named
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.rows.codec import LedgerRun
@@ -149,7 +149,7 @@ def numbers_of(database: "Database") -> dict[str, int]:
 
 def robot_of(database: "Database", asked: str, run: str | None) -> str:
     """Return the full name of a robot of this run, or of any. Raises: UsageError if none matches."""
-    return _named(database, "robot", asked, run)
+    return _name_on_record(database, "robot", asked, run)
 
 
 def clock(started: object, time_us: int) -> str | None:
@@ -224,10 +224,10 @@ def parameters_of(database: "Database", query: "Query", given: Mapping[str, obje
     return values
 
 
-def _named(database: "Database", kind: str, name: str, run: str | None) -> str:
+def _name_on_record(database: "Database", kind: str, name: str, run: str | None) -> str:
     names, what = names_on_record(database, kind, run), _WORDS.get(kind, kind)
     with resting_on_rows(database.rows_verified):
-        return principal_named(what, name, names) if kind in PRINCIPALS else named(what, name, names)
+        return principal_named(what, name, names) if kind in PRINCIPALS else known_name(what, name, names)
 
 
 def _value(database: "Database", parameter: "Parameter", text: str, run: str | None) -> str:
@@ -236,7 +236,7 @@ def _value(database: "Database", parameter: "Parameter", text: str, run: str | N
         return str(time_of(database, parameter.name, text, run))
     if parameter.kind == "seq":
         return _seq(database, text, run)
-    return _named(database, parameter.kind, text, run)
+    return _name_on_record(database, parameter.kind, text, run)
 
 
 def _seq(database: "Database", text: str, run: str | None) -> str:

@@ -61,16 +61,16 @@ class RecoverResult(Answer, msgspec.Struct, frozen=True):
             lines += ["next"] if result.steps or into is not None else []
             lines += ["  the command that was interrupted continues when it is called again"] if result.steps else []
             lines += [f"  nothing was copied to {into}: {ledger} itself can be trusted"] if into is not None else []
-            lines += ["shards", *_some([f"  {problem}" for problem in result.shards])] if result.shards else []
+            lines += ["shards", *_first_lines([f"  {problem}" for problem in result.shards])] if result.shards else []
             lines += ["  fsar-ledger maintain recover SHARD mends one of them"] if result.shards else []
         else:
             where = result.problems[0].commit
             location = f"commit {where:,}" if where is not None else result.problems[0].where
             changed = "it was mended as far as possible" if result.steps else "nothing of it was changed"
             lines = [f"{ledger}: damaged at {location}; {changed}"]
-            lines += ["found", *_some([f"  {problem}" for problem in result.problems]), *_done(result.steps)]
+            lines += ["found", *_first_lines([f"  {problem}" for problem in result.problems]), *_done(result.steps)]
             lines += ["trusted", *self._trusted()]
-            lines += ["after that, on its own", *_some(list(_later(result.later)))] if result.later else []
+            lines += ["after that, on its own", *_first_lines(list(_later(result.later)))] if result.later else []
             lines += ["next", *self._next()]
         yield printable.lines(*lines)
 
@@ -117,7 +117,7 @@ class RecoverResult(Answer, msgspec.Struct, frozen=True):
             return
         yield f"  keep {ledger} as it is: it is the evidence"
         lost = dict.fromkeys((commit.file, commit.restore) for commit in result.later if commit.file is not None)
-        yield from _some(
+        yield from _first_lines(
             [f"  {ledger / file} can be restored from a copy with SHA-256 {sha256}" for file, sha256 in lost]
         )
         if result.head.commits:
@@ -282,10 +282,10 @@ def _done(steps: "Sequence[Step]") -> Iterator[str]:
     for action in dict.fromkeys(step.did for step in steps):
         chosen = [step for step in steps if step.did == action]
         yield action
-        yield from _some([f"  {step.file}{'' if step.to == step.file else f' -> {step.to}'}" for step in chosen])
+        yield from _first_lines([f"  {step.file}{'' if step.to == step.file else f' -> {step.to}'}" for step in chosen])
 
 
-def _some(lines: list[str]) -> list[str]:
+def _first_lines(lines: list[str]) -> list[str]:
     more = len(lines) - SHOWN
     return lines if more <= 0 else [*lines[:SHOWN], f"  ... and {more:,} more; --json names all"]
 

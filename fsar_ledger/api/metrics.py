@@ -227,7 +227,7 @@ class MultiverseResult(Answer, msgspec.Struct, frozen=True):
         if not self.cells:
             yield printable.line("no runs to read")
             return
-        cells, rankings = plain(self.cells), [_named(row) for row in self.rankings]
+        cells, rankings = plain(self.cells), [_ranking_row(row) for row in self.rankings]
         readings: list[Row] = [
             {"name": reading.name, "instead of": reading.reading, "says": reading.title} for reading in self.readings
         ]
@@ -303,7 +303,7 @@ def _columns(rows: Sequence[Row], columns: tuple[str, ...]) -> list[str]:
     ]
 
 
-def _named(row: "OrderUnderReadings") -> Row:
+def _ranking_row(row: "OrderUnderReadings") -> Row:
     changed, not_best = _texts(row.changed_under), _texts(row.fsar_not_best_under)
     return {**structs.asdict(row), "changed_under": changed, "fsar_not_best_under": not_best}
 

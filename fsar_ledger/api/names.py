@@ -128,7 +128,7 @@ def principal_named(what: str, asked: str, names: Sequence[str]) -> str:
     raise _unknown(what, asked, hint, names)
 
 
-def named(what: str, asked: str, names: Sequence[str]) -> str:
+def known_name(what: str, asked: str, names: Sequence[str]) -> str:
     """Return the name if it is one of `names`. Raises: UsageError, with the nearest."""
     if asked in names:
         return asked

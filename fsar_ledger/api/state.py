@@ -332,7 +332,7 @@ class Walkthrough(Answer):
         """Yield where each move of the script lands."""
         steps = self._steps
         if self._script is None:
-            assert self._walk is not None  # `_asked` requires one
+            assert self._walk is not None  # `_walkthrough` requires one
             self._walk(steps, screen.run_text(steps.run))
             return
         for move in filter(None, (part.strip() for part in self._script.split(";"))):
@@ -349,7 +349,7 @@ class Walkthrough(Answer):
                 yield printable.lines(f"{steps.seq:>6} {steps.time_s(steps.seq):>10.3f} s  {words}")
 
 
-def _asked(
+def _walkthrough(
     ledger: "Ledger",
     run: str,
     at: Time = None,
@@ -365,7 +365,7 @@ def _asked(
     'step out/ledger --run 1 --script "go 40s; next-decision; cause; state"',
     'step out/ledger --run 2 --script "next-of B1; next-refusal; record"',
     takes=("verified",),
-    call=_asked,
+    call=_walkthrough,
 )
 def step(
     ledger: "Ledger",

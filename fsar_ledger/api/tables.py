@@ -118,7 +118,7 @@ def fitted(
     above += number_lines
     widths = _widths(differing, width)
     left_out = [_quoted(column.name) for column in differing[len(widths) :]]
-    below = [f"not shown: {_some(left_out)}; --wide shows all"] if left_out else []
+    below = [f"not shown: {_first_names(left_out)}; --wide shows all"] if left_out else []
     lines = printable.lines(*above, *([""] if above else []))
     return printable.joined(lines, _laid_out(differing, widths), *map(printable.line, below))
 
@@ -171,7 +171,7 @@ def _said_once(columns: Sequence[Column], is_same: Sequence[bool]) -> tuple[list
     valued = [f"{_quoted(column.name)} {_quoted(column.cells[0])}" for column in same if column.cells[0] != "-"]
     empty = [_quoted(column.name) for column in same if column.cells[0] == "-"]
     lines = [f"in every row: {', '.join(valued)}"] if valued else []
-    lines += [f"NULL in every row: {_some(empty)}"] if empty else []
+    lines += [f"NULL in every row: {_first_names(empty)}"] if empty else []
     for index, column in enumerate(differing):
         others = [other for other in columns if other.name != column.name]
         if column.name in _RUNS and (short := _shortened(column.cells, others)) is not None:
@@ -181,7 +181,7 @@ def _said_once(columns: Sequence[Column], is_same: Sequence[bool]) -> tuple[list
     return lines, differing
 
 
-def _some(names: Sequence[str]) -> str:
+def _first_names(names: Sequence[str]) -> str:
     more = len(names) - NAMED_EMPTY
     return ", ".join(names[:NAMED_EMPTY]) + (f" and {printable.counted(more, 'other column')}" if more > 0 else "")
 

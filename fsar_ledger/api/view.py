@@ -44,7 +44,7 @@ class Picture(msgspec.Struct, frozen=True):
         return f"{text}s {names}: " + ("no difference" if first is None else f"the first difference is event {first}")
 
 
-def _asked(
+def _write_pictures(
     ledger: "Ledger",
     out: Place | None = None,
     run: Run | None = None,
@@ -77,7 +77,7 @@ def _asked(
     "view out/ledger --run 1 --with 2 --out out/two.html",
     "view out/ledger --run 1 --perfetto out/run.json",
     takes=("verified",),
-    call=_asked,
+    call=_write_pictures,
 )
 def view(
     ledger: "Ledger",
@@ -105,11 +105,11 @@ def view(
 
     file = Path(out)
     require_picture(file, PAGE, "out")
-    pages = [_shown(ledger, run)]
+    pages = [_page_options(ledger, run)]
     first = None
     if second is not None or other is not None:
         upper = pages[0][0].drawn.run
-        pages.append(_shown(other or ledger, upper.run_id if second is None else second))
+        pages.append(_page_options(other or ledger, upper.run_id if second is None else second))
         lower = pages[1][0].drawn.run
         if lower.run_id == upper.run_id and (other is None or other.path.resolve() == ledger.path.resolve()):
             raise UsageError(
@@ -139,7 +139,7 @@ def trace(ledger: "Ledger", out: Place, run: Run | None = None) -> Picture:
 
     file = Path(out)
     require_picture(file, TRACE, "out")
-    options, provenance = _shown(ledger, run)
+    options, provenance = _page_options(ledger, run)
     content = trace_of(options.drawn)
     _write(file, content)
     return Picture(file, len(content), (options.drawn.run.run_id,), None, provenance)
@@ -169,7 +169,7 @@ def _write(out: Path, content: bytes) -> None:
         temporary.write_bytes(content)
 
 
-def _shown(ledger: "Ledger", requested: Run | None) -> "tuple[PageOptions, Provenance]":
+def _page_options(ledger: "Ledger", requested: Run | None) -> "tuple[PageOptions, Provenance]":
     """Return what a page draws of a run, and its provenance."""
     from fsar_ledger.analysis.situation import Coverage
     from fsar_ledger.ledger.rows.runs import start_of

@@ -100,14 +100,16 @@ class WhatIf(Answer, msgspec.Struct, frozen=True):
             yield printable.lines("")
         else:
             for effects in self.effects:
-                yield from _effects(effects, screen, is_alone=len(self.effects) == len({*map(_who, self.effects)}))
+                yield from _effects(
+                    effects, screen, is_alone=len(self.effects) == len({*map(_configuration_text, self.effects)})
+                )
         if self.kept is not None and self.out is not None:
             count = counted(len(self.forks), "fork")
             ledger = printable.word(self.out)
             yield printable.lines(f"kept in {ledger}: {count}, each beside its base, root {self.kept.root}")
 
 
-def _asked(
+def _fork_or_list(
     ledger: "Ledger",
     changes: Names = declare("TEXT", "A change to make, as above; may be repeated.", flag="--change"),
     file: Place | None = declare("FILE", "A .toml file of changes.", flag="--changes"),
@@ -139,7 +141,7 @@ def _asked(
     'whatif out/ledger --run 1 --change "add window:fleet/B1 20s for 5s" --out out/forks',
     'whatif out/ledger --all-runs --architecture fsar --change "rule fleet deny robot=B1 from 20s"',
     "whatif out/ledger --run 1 --list",
-    call=_asked,
+    call=_fork_or_list,
     takes=("cluster", *WIDE),
     after_interruption="what is committed stays; the same call again makes what is missing",
 )
@@ -316,7 +318,7 @@ def refusals(found: "Sequence[RefusedChange]", pairs: int) -> Iterator[str]:
         yield f"in {sum(count for _, count in more):,} of {pairs:,} for other reasons, which --json has"
 
 
-def _who(effects: "Effects") -> str:
+def _configuration_text(effects: "Effects") -> str:
     """Return the architecture and configuration of the runs, as text."""
     who = effects.architecture or "-"
     return who if effects.configuration in (None, "full") else f"{who} {effects.configuration}"
@@ -327,7 +329,7 @@ def _effects(effects: "Effects", screen: Screen, *, is_alone: bool) -> Iterator[
     from .table import plain
 
     rows = [{NAMES.get(name, name): row[name] for name in COLUMNS} for row in plain(effects.rows)]
-    who = _who(effects) if is_alone or effects.side is None else printable.value(effects.side)
+    who = _configuration_text(effects) if is_alone or effects.side is None else printable.value(effects.side)
     yield printable.lines("", f"{who}: {counted(effects.pairs, 'pair')}, {effects.diverging:,} of them diverge")
     yield printable.lines(*refusals(effects.refused, effects.pairs))
     yield screen.table(rows)

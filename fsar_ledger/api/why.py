@@ -66,7 +66,7 @@ class Why(Answer, msgspec.Struct, frozen=True, kw_only=True):
         path, form = figure_place(file, kind)
         if path.suffix[1:] != form:
             raise UsageError(f"--{kind} {file}: expected a name that ends in .{kind}")
-        links, reads = _links(self.seq, self.made), _said(self.made)
+        links, reads = _links(self.seq, self.made), _read_notes(self.made)
         lines = ((seq, self.lines[seq]) for seq in sorted({self.seq, *(end for link in links for end in link[:2])}))
         rows = [
             {
@@ -91,7 +91,7 @@ class Why(Answer, msgspec.Struct, frozen=True, kw_only=True):
         yield printable.lines(screen.run_text(self.run), "", *Tree(self).lines(), "", hint)
 
 
-def _asked(
+def _explain_or_list(
     ledger: "Ledger",
     event: str | None = None,
     depth: int = 2,
@@ -138,7 +138,7 @@ def _asked(
     "why out/ledger 1:148 --depth 1 --svg out/why.svg",
     "why out/ledger --run 2 --verdict violation",
     takes=("svg", *WIDE),
-    call=_asked,
+    call=_explain_or_list,
 )
 def why(
     ledger: "Ledger",
@@ -224,7 +224,7 @@ def _links(seq: int, traces: "Sequence[DecisionTrace]") -> list[tuple[int, int, 
     return links
 
 
-def _said(traces: "Sequence[DecisionTrace]") -> dict[int, str]:
+def _read_notes(traces: "Sequence[DecisionTrace]") -> dict[int, str]:
     """Return what the decision in question read of each event, by seq."""
     reads: dict[int, dict[str, dict[str, None]]] = {}
     for read in (*traces[0].scheduled_reads, *traces[0].reads):

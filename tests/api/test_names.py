@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import fsar_ledger
 from fsar_ledger.api.lookup import numbers_of, resolve_run
-from fsar_ledger.api.names import MAX_SECONDS, microseconds, named, principal_named, run_named
+from fsar_ledger.api.names import MAX_SECONDS, known_name, microseconds, principal_named, run_named
 from fsar_ledger.base.errors import InvalidQuery, UnknownQuery, UsageError
 from fsar_ledger.base.printable import ranges
 from fsar_ledger.ledger.opening import open_for_answers
@@ -104,7 +104,7 @@ def test_what_is_like_no_name_of_a_robot_gets_no_suggestion(asked: str, message:
 @pytest.mark.parametrize("asked", ["flying", "nosuch"])
 def test_what_is_like_no_name_gets_no_suggestion(asked: str) -> None:
     with pytest.raises(UsageError, match="there is no such name; expected one of "):
-        named("name", asked, ["navigate.indoor", "lift", "injected-1-1", "A1-1/2.1"])
+        known_name("name", asked, ["navigate.indoor", "lift", "injected-1-1", "A1-1/2.1"])
 
 
 def test_an_unknown_run_names_the_command_that_lists_the_runs(ledger: fsar_ledger.Ledger) -> None:

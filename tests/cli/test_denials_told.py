@@ -9,7 +9,7 @@ import pytest
 
 from fsar_ledger import Ledger, open_ledger
 from fsar_ledger.api.answers import Screen
-from fsar_ledger.api.explain import _parties, account_lines, shown
+from fsar_ledger.api.explain import _parties, account_lines, printable_rows
 from fsar_ledger.metrics.database import plain_rows
 from tests.cli.conftest import Call, made_in
 from tests.queries.histories import Row, S, event, run
@@ -33,7 +33,7 @@ def story(ledger: Ledger, run_id: str, action: str) -> tuple[dict[str, Any], str
     """The row of the action and its story as text."""
     account = ledger.explain(run=run_id, request=action)
     screen = Screen(ledger)
-    told = account_lines(screen, (account.run, action), shown(account.timeline), account.parties, [])
+    told = account_lines(screen, (account.run, action), printable_rows(account.timeline), account.parties, [])
     return account.parties, "\n".join(told)
 
 
