@@ -95,7 +95,7 @@ def audit(
         UnknownQuery: An invariant is unknown.
         UsageError: The ledger has no run of these architectures.
     """
-    from fsar_ledger.designs.registered import known
+    from fsar_ledger.designs.registered import known_names
     from fsar_ledger.events.configuration import ARCHITECTURES
     from fsar_ledger.ledger.opening import open_for_answers
     from fsar_ledger.metrics.database import connect_view
@@ -109,7 +109,9 @@ def audit(
         recorded = [str(row["architecture"]) for row in database.rows(_ARCHITECTURES)]
         unreadable = sum(model.runs for model in models(database) if model.parameters is None)
         provenance = of_audit(database)
-        architectures = known("architecture", names_of(architecture), tuple(dict.fromkeys([*ARCHITECTURES, *recorded])))
+        architectures = known_names(
+            "architecture", names_of(architecture), tuple(dict.fromkeys([*ARCHITECTURES, *recorded]))
+        )
         slices = database.slices
         rows = [] if slices is not None else audit_rows(database, queries, architectures, progress)
     if slices is not None:  # after closing the first database, so that the slices can use its memory

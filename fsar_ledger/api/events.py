@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError, option
-from fsar_ledger.designs.registered import known
+from fsar_ledger.designs.registered import known_names
 from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.opening import Pause, growth, open_for_answers
@@ -229,9 +229,9 @@ def asked_of(
 
 
 def concerns_of(about: str | Sequence[str] | None) -> tuple[str, ...]:
-    """Return the concerns of these words, which may be plural and separated by commas. Raises: As `known`."""
+    """Return the concerns of these words, which may be plural and separated by commas. Raises: As `known_names`."""
     words = [word.strip() for text in names_of(about) or () for word in text.split(",")]
-    return known("concern", [_PLURALS.get(word, word) for word in words], CONCERNS)
+    return known_names("concern", [_PLURALS.get(word, word) for word in words], CONCERNS)
 
 
 def timeline(database: Database, asked: LogRequest) -> Table:

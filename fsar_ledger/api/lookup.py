@@ -158,7 +158,7 @@ def clock(started: object, time_us: int) -> str | None:
     if epoch is None:
         return None
     when = utc.parsed(epoch) + timedelta(microseconds=time_us)
-    return utc.shown(when.astimezone(UTC), "milliseconds")
+    return utc.iso_text(when.astimezone(UTC), "milliseconds")
 
 
 def run_time(database: "Database", what: str, asked: Time, run: str | None) -> Time:

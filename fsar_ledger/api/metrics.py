@@ -262,14 +262,14 @@ def multiverse(
     Raises:
         InvalidExperiment: There is no such metric.
     """
-    from fsar_ledger.designs.registered import known
+    from fsar_ledger.designs.registered import known_names
     from fsar_ledger.metrics.multiverse import multiverse as read
     from fsar_ledger.metrics.provenance import of_outcomes
 
     pooled = pools_seeds(pool)
     with ledger.database() as database:
         names = tuple(row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position"))
-        result = read(database, known("metric", names_of(metric), names), pools_seeds=pooled, progress=progress)
+        result = read(database, known_names("metric", names_of(metric), names), pools_seeds=pooled, progress=progress)
         return MultiverseResult(result.readings, result.cells, result.rankings, result.universes, of_outcomes(database))
 
 

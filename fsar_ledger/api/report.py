@@ -165,7 +165,7 @@ def reproduce(
     """
     from fsar_ledger.base.progress import unseen
     from fsar_ledger.base.workers import WorkerPool
-    from fsar_ledger.designs.registered import known
+    from fsar_ledger.designs.registered import known_names
     from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.metrics.database import connect
     from fsar_ledger.metrics.provenance import of_outcomes
@@ -180,7 +180,7 @@ def reproduce(
 
     folder, processes, signer, show = Path(out), workers_of(workers), signer_of(key, adopts=adopt), showing or unseen
     require_outside(folder, option("out", folder))
-    wanted = known("experiment", names_of(only), NAMES)
+    wanted = known_names("experiment", names_of(only), NAMES)
     experiments = [paper_ledger(name, runs) for name in NAMES if name == "results" or not wanted or name in wanted]
     with WorkerPool(processes) as pool:
         results = {

@@ -16,7 +16,7 @@ def zoned(when: datetime) -> datetime:
     return when if when.tzinfo is not None else when.replace(tzinfo=UTC)
 
 
-def shown(when: datetime, timespec: str = "auto") -> str:
+def iso_text(when: datetime, timespec: str = "auto") -> str:
     """Return a time in UTC as text that ends in Z; `timespec` is that of `datetime.isoformat`."""
     return when.isoformat(timespec=timespec).replace("+00:00", "Z")
 
@@ -27,5 +27,5 @@ def microseconds(when: datetime) -> int:
 
 
 def shown_us(time_us: int, timespec: str = "auto") -> str:
-    """Return a time in microseconds since 1970 as the text of `shown`."""
-    return shown(EPOCH + time_us * MICROSECOND, timespec)
+    """Return a time in microseconds since 1970 as the text of `iso_text`."""
+    return iso_text(EPOCH + time_us * MICROSECOND, timespec)

@@ -82,7 +82,7 @@ class Commands(Mapping[str, Any]):
         if name not in self._names:
             raise KeyError(name)
         if name not in self._made:
-            self._made[name] = _made(name, _verbs(name))
+            self._made[name] = _build_command(name, _verbs(name))
         return self._made[name]
 
 
@@ -143,7 +143,7 @@ def _summary(name: str) -> str:
     return help_in(match[1].removesuffix('"""'))
 
 
-def _made(words: str, verbs: Sequence[Verb]) -> Any:
+def _build_command(words: str, verbs: Sequence[Verb]) -> Any:
     """Return the command of the verb of this name, or the family of those that begin with these words."""
     if words not in FAMILIES:
         return command(next(verb for verb in verbs if verb.name == words), words.rpartition(" ")[2])
@@ -152,7 +152,7 @@ def _made(words: str, verbs: Sequence[Verb]) -> Any:
     )
     family = Family(name=words.rpartition(" ")[2], help=FAMILIES[words], rich_markup_mode=None)
     for word in next_words:
-        family.add_command(_made(f"{words} {word}", verbs), word)
+        family.add_command(_build_command(f"{words} {word}", verbs), word)
     return family
 
 

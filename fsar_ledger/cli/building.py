@@ -229,7 +229,7 @@ def offered(what: str) -> Callable[[typer.Context, str], list[str]]:
 
     def offer(ctx: typer.Context, incomplete: str) -> list[str]:
         try:
-            names = [name for name in OFFERS[what](Line(_given(ctx), incomplete)) if name.startswith(incomplete)]
+            names = [name for name in OFFERS[what](Line(_typed_values(ctx), incomplete)) if name.startswith(incomplete)]
         except (FsarLedgerError, OSError):
             return []
         return [name for name in names if printable.is_shown(name) and not any(map(str.isspace, name))][:MOST]
@@ -237,7 +237,7 @@ def offered(what: str) -> Callable[[typer.Context, str], list[str]]:
     return offer
 
 
-def _given(ctx: typer.Context) -> dict[str, Any]:
+def _typed_values(ctx: typer.Context) -> dict[str, Any]:
     """Return the arguments and options by name.
 
     After an option that still lacks its value, which is the one being typed, the arguments are not yet by name.

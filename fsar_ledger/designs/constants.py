@@ -224,10 +224,10 @@ def write_constants(constants: Constants) -> str:
     Raises:
         BadParameters: A value cannot be written as JSON, such as infinity, or is too long.
     """
-    valid = decode_parameters(_written(constants), type(constants))
-    text = _written(valid)
+    valid = decode_parameters(_as_json(constants), type(constants))
+    text = _as_json(valid)
     return (
-        _written(msgspec.convert(_unsigned_zeros(msgspec.to_builtins(valid)), type(valid))) if "-0.0" in text else text
+        _as_json(msgspec.convert(_unsigned_zeros(msgspec.to_builtins(valid)), type(valid))) if "-0.0" in text else text
     )
 
 
@@ -239,7 +239,7 @@ def _unsigned_zeros(value: Any) -> Any:
     return 0.0 if isinstance(value, float) and not value else value
 
 
-def _written(constants: Constants) -> str:
+def _as_json(constants: Constants) -> str:
     groups = {name: group for name in constants.__struct_fields__ if (group := getattr(constants, name)) is not None}
     return msgspec.json.encode(groups).decode()
 

@@ -311,7 +311,7 @@ def workflow(name: str) -> Workflow:
     return _read("workflows", name, Workflow)
 
 
-def at(design: Fleet | Scenario | Workflow, field: Field) -> str:
+def design_location(design: Fleet | Scenario | Workflow, field: Field) -> str:
     """Return the file, the line and the field of a registered design, for the beginning of a message."""
     file = _folder(f"{type(design).__name__.lower()}s") / f"{design.name}.toml"
     return at_line(str(file), file.read_text("utf-8"), field)
@@ -336,7 +336,7 @@ def _folder(name: str) -> Path:
     return Path(__file__).parents[1] / "runtime" / "world" / name
 
 
-def known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> tuple[_Name, ...]:
+def known_names(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> tuple[_Name, ...]:
     """Return the requested names, each once, in the order of `names`.
 
     Raises:

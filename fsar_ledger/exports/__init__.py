@@ -113,11 +113,11 @@ def named_in(columns: Mapping[str, Any]) -> dict[Named, str]:
     for column, value in columns.items():
         if column in NAMING and value is not None:
             for name in (value,) if isinstance(value, str) else value:
-                roles.setdefault(_named(column, name), []).append(NAMING[column])
+                roles.setdefault(_named_object(column, name), []).append(NAMING[column])
     return {named: ", ".join(dict.fromkeys(names)) for named, names in roles.items()}
 
 
-def _named(column: str, name: str) -> Named:
+def _named_object(column: str, name: str) -> Named:
     if column in _COLUMNS:
         return Named(_COLUMNS[column], f"{_COLUMNS[column]}/{name}")
     kind = name.partition("/")[0]

@@ -249,7 +249,7 @@ def _spans(run: LedgerRun, trace: str, counts: _Traces) -> Iterator[dict[str, An
     for key, span in spans.items():
         is_open = span.ended_by is None and key != _RUN
         causes = [(seq, cause) for seq in span.own if (cause := run.caused_by[seq]) is not None and keys[cause] != key]
-        name, about = _named(run, key, span)
+        name, about = _name_and_attributes(run, key, span)
         document = {
             "traceId": trace,
             "spanId": ids[key],
@@ -279,7 +279,7 @@ def _spans(run: LedgerRun, trace: str, counts: _Traces) -> Iterator[dict[str, An
         yield document
 
 
-def _named(run: LedgerRun, key: _Key, span: _Span) -> tuple[str, dict[str, Any]]:
+def _name_and_attributes(run: LedgerRun, key: _Key, span: _Span) -> tuple[str, dict[str, Any]]:
     """Return the name of a span, and its attributes by the conventions and from the events."""
     about: dict[str, Any] = {"gen_ai.conversation.id": run.run_id}
     if key.kind == "run":

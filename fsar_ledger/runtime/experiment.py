@@ -130,7 +130,7 @@ class Experiment(msgspec.Struct, frozen=True):
             for problem in problems:
                 if own is not None:
                     raise InvalidExperiment(f"scenario {printable.value(own.name)}: {problem}")
-                where = registered.at(scenario, problem.field)
+                where = registered.design_location(scenario, problem.field)
                 raise InvalidExperiment(f"{where}: found {problem.found}, expected {problem.expected}")
         if (own or fleet) and (found := len(write_constants(self.constants))) > MAX_OWN:
             raise InvalidExperiment(f"fleet and scenario: found {found:,} characters, expected at most {MAX_OWN:,}")

@@ -11,7 +11,7 @@ from fsar_ledger.base.errors import InvalidExperiment, UsageError, option
 from fsar_ledger.base.parameters import BadParameters
 from fsar_ledger.designs import registered
 from fsar_ledger.designs.constants import Constants, Load, read_constants
-from fsar_ledger.designs.registered import PAPER_SCENARIOS, known, workflows
+from fsar_ledger.designs.registered import PAPER_SCENARIOS, known_names, workflows
 from fsar_ledger.events.configuration import (
     ARCHITECTURES,
     EVERY_MECHANISM,
@@ -69,14 +69,14 @@ def experiment_of(
         return _workflows_of(workflows, runs, seed, others, architectures, fleet_size)
 
     configurations = tuple(
-        dict.fromkeys(ablation(known("mechanism", _joined(name), EVERY_MECHANISM)) for name in without or ())
+        dict.fromkeys(ablation(known_names("mechanism", _joined(name), EVERY_MECHANISM)) for name in without or ())
     )
     affected = tuple(
         name
         for name in MECHANISMS_OF
         if any(removed_mechanisms(configuration) & set(MECHANISMS_OF[name]) for configuration in configurations)
     )
-    known("scenario", [name for name in scenarios or () if not is_file(name)], registered.scenarios())
+    known_names("scenario", [name for name in scenarios or () if not is_file(name)], registered.scenarios())
     constants, chosen = with_own(Constants(), tuple(dict.fromkeys(scenarios or ())), fleet, settings or ())
     size = team_size(constants.fleet) if fleet_size is None else fleet_size
     if load not in ((None, 1), (size // team_size(constants.fleet), 1)):
@@ -87,7 +87,7 @@ def experiment_of(
             )
         constants = msgspec.structs.replace(constants, load=Load(*load))
     return Experiment(
-        architectures=known("architecture", architectures, ARCHITECTURES) or affected or PAPER_ARCHITECTURES,
+        architectures=known_names("architecture", architectures, ARCHITECTURES) or affected or PAPER_ARCHITECTURES,
         scenarios=chosen or registered.PAPER_SCENARIOS,
         configurations=configurations or (FULL,),
         runs=RUNS if runs is None else runs,
@@ -132,7 +132,7 @@ def _workflows_of(
             f"{option('workflow')} and {option('fleet_size', fleet_size)}: expected 4, one robot of each role"
         )
     names = {name.removeprefix("workflow-"): name for name in registered.workflows()}
-    chosen = tuple(names[name] for name in known("workflow", requested, tuple(names)))
+    chosen = tuple(names[name] for name in known_names("workflow", requested, tuple(names)))
     return workflow_experiment(seed, 1 if runs is None else runs, chosen)
 
 

@@ -220,7 +220,7 @@ class Recorder:
             kind="foreign",
             observes=self.declared.observes,
             records=self.declared.records,
-            epoch=utc.shown(self._epoch),
+            epoch=utc.iso_text(self._epoch),
             source=self.source,
         )
         if self._names is not None:
@@ -269,7 +269,7 @@ class Recorder:
             )
         if epoch is not None and epoch != utc.parsed(started.epoch):
             raise UsageError(
-                f"run {value(self.run)}: found a run that began {started.epoch}, expected {utc.shown(epoch)}; leave "
+                f"run {value(self.run)}: found a run that began {started.epoch}, expected {utc.iso_text(epoch)}; leave "
                 f"{option('epoch')} out, or give the run another name"
             )
         self.declared = kept

@@ -59,12 +59,12 @@ def study_show(
         UsageError: The file cannot be read, or none is given and the package has none.
         FsarLedgerError: It holds something else.
     """
-    from fsar_ledger.designs.registered import known
+    from fsar_ledger.designs.registered import known_names
     from fsar_ledger.metrics.study_results import packaged, read
 
     from .result import KINDS, stale
 
-    known("study", [name], STUDIES)
+    known_names("study", [name], STUDIES)
     kind = KINDS[name]
     found = packaged(kind) if file is None else read(Path(file), kind)
     if found is None:
