@@ -40,7 +40,7 @@ from fsar_ledger.base.errors import (
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.opening import open_checked
-from fsar_ledger.ledger.rows import canonical, numbers, validity, whole
+from fsar_ledger.ledger.rows import as_one_array, canonical, numbers, validity
 from fsar_ledger.ledger.rows.schema import COLUMNS
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.locations import compare_index
@@ -71,7 +71,7 @@ class ReadAgain:
 
     def digest(self, decoded: pa.Table) -> Digest:
         """Return the number of rows, the number of values in each column, and the XOR of each column's integers."""
-        columns = {name: whole(decoded.column(name)) for name in decoded.column_names}
+        columns = {name: as_one_array(decoded.column(name)) for name in decoded.column_names}
         counts = [len(column) - column.null_count for column in columns.values()]
         sums = [
             int(np.bitwise_xor.reduce(numbers(columns[name])[validity(columns[name])], initial=0))

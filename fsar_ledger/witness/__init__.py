@@ -77,7 +77,7 @@ class WitnessKey(PublicKey, frozen=True):
         time = int.from_bytes(signature.data[:_TIME_BYTES], "big")
         if len(signature.data) != _TIME_BYTES + SIGNATURE_BYTES or not 0 < time <= MAX_TIME_S:
             return None
-        return time if self.made(signature.data[_TIME_BYTES:], cosigned_text(checkpoint, time)) else None
+        return time if self.verifies(signature.data[_TIME_BYTES:], cosigned_text(checkpoint, time)) else None
 
 
 class Cosigner:

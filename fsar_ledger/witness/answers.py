@@ -22,7 +22,7 @@ from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.verify.report import Anchor
 
 from . import checkpoint_path, parse_cosigned
-from .cosign import NoAnswer, ask, ask_all
+from .cosign import NoAnswer, ask_all, send_request
 from .policy import Policy, Witness, read_policy
 
 _LAST_SECOND = 253_402_300_799  # of the year 9999
@@ -97,7 +97,7 @@ def read_cosigned(
 def _newest(witness: Witness, origin: str) -> Note:
     """Request the newest note that this witness cosigned. Raises: NoAnswer."""
     url = witness.url or ""
-    answer = ask(url, checkpoint_path(origin))
+    answer = send_request(url, checkpoint_path(origin))
     if answer.status != HTTPStatus.OK:
         reason = (
             "it has no checkpoint of this log"

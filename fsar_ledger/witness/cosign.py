@@ -34,7 +34,7 @@ class NoAnswer(Exception):
     """Raised when a witness gave no usable response; the message says why."""
 
 
-def ask(url: str, path: str, body: bytes | None = None) -> Answer:
+def send_request(url: str, path: str, body: bytes | None = None) -> Answer:
     """Send a POST with the body, or a GET without one, and return the response.
 
     Redirects are not followed and proxies are not used.
@@ -184,7 +184,7 @@ def _obtain(view: View, note: Note, witness: Witness) -> tuple[int, Signature]:
     url, size = witness.url or "", note.checkpoint.size
     old = 0
     for _ in range(_TRIES):
-        answer = ask(url, ADD_CHECKPOINT, str(Request(old, _proof(view, old, size), note)).encode())
+        answer = send_request(url, ADD_CHECKPOINT, str(Request(old, _proof(view, old, size), note)).encode())
         if answer.status == HTTPStatus.OK:
             return _cosignature(answer, note, witness)
         witness_size = answer.text.removesuffix("\n")

@@ -138,7 +138,7 @@ class _Reader:
             case ["quorum", name]:
                 if self.quorum is not None:
                     raise self.wrong("a second quorum", "one")
-                self.quorum = self._known(name, is_quorum=True)
+                self.quorum = self._require_known_name(name, is_quorum=True)
             case _:
                 raise self.wrong(
                     f"{' '.join(words)!a:.60}",
@@ -169,7 +169,7 @@ class _Reader:
 
     def _group(self, name: str, threshold: str, members: list[str]) -> None:
         for member in members:
-            self._known(member)
+            self._require_known_name(member)
             if member in self.members:
                 raise self.wrong(
                     f"{member!a:.60} in a second place",
@@ -190,7 +190,7 @@ class _Reader:
         self.names.add(name)
         return name
 
-    def _known(self, name: str, *, is_quorum: bool = False) -> str:
+    def _require_known_name(self, name: str, *, is_quorum: bool = False) -> str:
         if name not in self.names or (name == _NONE and not is_quorum):
             raise self.wrong(f"{name!a:.60}", "a witness or a group of a line before")
         return name

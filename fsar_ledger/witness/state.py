@@ -160,7 +160,7 @@ def _read_key(path: Path) -> Cosigner:
 
 def _is_right(signature: Signature, checkpoint: Checkpoint, keys: Sequence[VerifierKey]) -> bool:
     """Return whether these keys show no damage in this signature of a log, in its key id or its data."""
-    makers = [key for key in keys if key.made(signature.data, checkpoint.text().encode())]
+    makers = [key for key in keys if key.verifies(signature.data, checkpoint.text().encode())]
     named = [key for key in keys if key.key_id == signature.key_id]
     return makers == named
 

@@ -38,7 +38,7 @@ CHECKED: dict[str, tuple[str, ...] | None] = {
     "store/journal.py": ("read_frames", "is_whole", "finish", "_is_sealed", "_commit"),
     "store/staging.py": ("table_of",),
     "store/derived.py": ("read_node",),
-    "store/read.py": ("_placed", "_coded", "open_chain"),
+    "store/read.py": ("_placed_segment", "_coded", "open_chain"),
     "store/snapshot.py": (
         *("_settled", "look", "_follow", "_end_of_hidden"),
         *("behind", "covered", "check_chain_checkpoint"),

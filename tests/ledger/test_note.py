@@ -74,11 +74,11 @@ def test_keys_and_signatures_are_those_of_rfc_8032(name: str) -> None:
     signer = Signer("rfc-8032", secret)
     assert signer.verifier.public == public
     assert signer.signature_of(message) == signature
-    assert signer.verifier.made(signature, message)
+    assert signer.verifier.verifies(signature, message)
     for at in range(0, 64, 7):
-        assert not signer.verifier.made(signature[:at] + bytes([signature[at] ^ 1]) + signature[at + 1 :], message)
-    assert not signer.verifier.made(signature, message + b"\x00")
-    assert not signer.verifier.made(signature[:63], message)
+        assert not signer.verifier.verifies(signature[:at] + bytes([signature[at] ^ 1]) + signature[at + 1 :], message)
+    assert not signer.verifier.verifies(signature, message + b"\x00")
+    assert not signer.verifier.verifies(signature[:63], message)
 
 
 def test_the_key_and_signature_that_go_publishes_as_an_example_are_right() -> None:
@@ -91,8 +91,8 @@ def test_the_key_and_signature_that_go_publishes_as_an_example_are_right() -> No
     data = base64.b64decode(line)
     assert data[:4] == key.key_id
     assert Signature("PeterNeumann", data[:4], data[4:]).line() == f"— PeterNeumann {line}\n"
-    assert key.made(data[4:], text)
-    assert not key.made(data[4:], text[:-1])
+    assert key.verifies(data[4:], text)
+    assert not key.verifies(data[4:], text[:-1])
 
 
 # --- notes ---

@@ -101,11 +101,11 @@ def test_a_signature_has_no_second_form() -> None:
     key, signature = SIGNER.verifier, SIGNER.signature_of(TEXT)
     point, scalar = signature[:32], int.from_bytes(signature[32:], "little")
     assert scalar < L
-    assert key.made(signature, TEXT)
+    assert key.verifies(signature, TEXT)
     for other in range(scalar + L, 2**256, L):
-        assert not key.made(point + other.to_bytes(32, "little"), TEXT)
-    assert not key.made(point[:31] + bytes([point[31] ^ 0x80]) + signature[32:], TEXT)
-    assert not key.made(signature + b"\x00", TEXT)
+        assert not key.verifies(point + other.to_bytes(32, "little"), TEXT)
+    assert not key.verifies(point[:31] + bytes([point[31] ^ 0x80]) + signature[32:], TEXT)
+    assert not key.verifies(signature + b"\x00", TEXT)
 
 
 def test_a_point_of_small_order_in_a_signature_helps_nobody_without_the_secret() -> None:
@@ -115,6 +115,6 @@ def test_a_point_of_small_order_in_a_signature_helps_nobody_without_the_secret()
     secret = int.from_bytes(hashlib.sha512(b"s" * 32).digest()[:32], "little") & ~7 & 2**254 - 1 | 2**254
     for name, point in WEAK.items():
         scalar = int.from_bytes(hashlib.sha512(point + key.public + TEXT).digest(), "little") * secret % L
-        assert key.made(point + scalar.to_bytes(32, "little"), TEXT) == (name == "order 1")
-        assert not key.made(point + bytes(32), TEXT)
-        assert not key.made(point + (scalar + 1).to_bytes(32, "little"), TEXT)
+        assert key.verifies(point + scalar.to_bytes(32, "little"), TEXT) == (name == "order 1")
+        assert not key.verifies(point + bytes(32), TEXT)
+        assert not key.verifies(point + (scalar + 1).to_bytes(32, "little"), TEXT)

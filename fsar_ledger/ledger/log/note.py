@@ -181,7 +181,7 @@ class PublicKey(msgspec.Struct, frozen=True):
     def __str__(self) -> str:
         return f"{self.key}+{base64.b64encode(self.KIND + self.public).decode()}"
 
-    def made(self, signature: bytes, text: bytes) -> bool:
+    def verifies(self, signature: bytes, text: bytes) -> bool:
         """Return whether this key made the signature of this text.
 
         Checked strictly by RFC 8032, section 5.1.7. The signature has 64 bytes. S is below L, so that there is no
@@ -213,7 +213,7 @@ class VerifierKey(PublicKey, frozen=True):
         return (
             note.checkpoint.origin == self.name
             and bool(own_signatures)
-            and all(self.made(data, text) for data in own_signatures)
+            and all(self.verifies(data, text) for data in own_signatures)
         )
 
 

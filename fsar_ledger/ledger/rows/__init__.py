@@ -57,7 +57,7 @@ class Columns:
     """
 
     def __init__(self, table: pa.Table) -> None:
-        arrays: Derived[pa.Array] = Derived(lambda name: whole(table.column(name)))
+        arrays: Derived[pa.Array] = Derived(lambda name: as_one_array(table.column(name)))
         codes: Derived[pa.DictionaryArray] = Derived(lambda name: coded(_strings(arrays[name])))
         self.table, self.arrays, self.coded = table, arrays, codes  # no lambda holds self, so no cycle holds columns
         self.valid: Derived[Mask] = Derived(lambda name: validity(arrays[name]))
@@ -65,7 +65,7 @@ class Columns:
         self.places: Derived[Integers] = Derived(lambda name: places(codes[name]))
 
 
-def taken(rows: pa.Table | Columns) -> Columns:
+def as_columns(rows: pa.Table | Columns) -> Columns:
     """Return the columns of a table, or the argument if it is `Columns` already."""
     return rows if isinstance(rows, Columns) else Columns(rows)
 
@@ -74,7 +74,7 @@ def _strings(column: pa.Array) -> pa.Array:
     return column.flatten() if pa.types.is_list(column.type) else column
 
 
-def whole(column: pa.ChunkedArray) -> pa.Array:
+def as_one_array(column: pa.ChunkedArray) -> pa.Array:
     """Return the column as one array, copied only if it has several chunks."""
     return column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
 

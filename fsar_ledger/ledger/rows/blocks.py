@@ -17,7 +17,7 @@ from fsar_ledger.ledger.rows.check import run_starts
 from fsar_ledger.ledger.rows.runs import Flaw
 from fsar_ledger.ledger.rows.schema import CONCERNED, STANDS_ALONE, concerns_admitted
 
-from . import coded, numbers, places, whole
+from . import as_one_array, coded, numbers, places
 
 _CONTINUED = f"{RunContinued.__struct_config__.tag}"
 
@@ -68,11 +68,11 @@ def blocks_of(table: pa.Table) -> Iterator[Block]:
     """Yield the blocks of a table without flaws, in order; string columns may be dictionaries."""
     if not table.num_rows:
         return
-    runs = whole(table.column("run_id"))
+    runs = as_one_array(table.column("run_id"))
     starts = run_starts(runs).tolist()
-    seqs, times = (numbers(whole(table.column(name))) for name in ("seq", "time_us"))
-    types, observes = coded(whole(table.column("type"))), whole(table.column("observes"))
-    records = whole(table.column("records"))
+    seqs, times = (numbers(as_one_array(table.column(name))) for name in ("seq", "time_us"))
+    types, observes = coded(as_one_array(table.column("type"))), as_one_array(table.column("observes"))
+    records = as_one_array(table.column("records"))
     tags, codes = types.dictionary.to_pylist(), places(types)
     for start, end in pairwise([*starts, table.num_rows]):
         first = int(seqs[start])

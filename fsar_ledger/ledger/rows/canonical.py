@@ -18,7 +18,7 @@ from fsar_ledger.ledger.rows.bounds import has_more_text_than, text_bytes
 from fsar_ledger.ledger.rows.compiled import codec
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, SCHEMA, STORED, StoredType
 
-from . import Columns, coded, numbers, places, taken, validity, whole
+from . import Columns, as_columns, as_one_array, coded, numbers, places, validity
 
 _ENCODER = msgspec.json.Encoder()
 _SORTING_ENCODER = msgspec.json.Encoder(order="sorted")
@@ -127,7 +127,7 @@ def from_table(table: pa.Table) -> list[bytes]:
 
     Rows are processed by type, because a type has a tenth of the columns. String columns may be dictionaries.
     """
-    columns = {name: whole(table.column(name)) for name in sorted(table.column_names)}
+    columns = {name: as_one_array(table.column(name)) for name in sorted(table.column_names)}
     members = [_Members(name, column) for name, column in columns.items() if column.null_count < len(column)]
     codes = places(coded(columns["type"]))
     order = np.argsort(codes, kind="stable")
@@ -147,7 +147,7 @@ def leaves(rows: pa.Table | Columns) -> bytes:
 
     Rows are encoded in parts, which saves memory.
     """
-    columns = taken(rows)
+    columns = as_columns(rows)
     table = columns.table
     if len(table) <= _MOST_ROWS and not has_more_text_than(table, _MOST_TEXT):
         return _leaves(columns)
@@ -171,10 +171,10 @@ def compiled_lines(columns: Columns) -> bytes | None:
         return None
     rows = len(columns.table)
     names = [name for name in sorted(columns.table.column_names) if columns.arrays[name].null_count < rows]
-    return codec.write_rows(rows, [_taken(name, columns) for name in names])
+    return codec.write_rows(rows, [_writer_arguments(name, columns) for name in names])
 
 
-def _taken(name: str, columns: Columns) -> tuple[Any, ...]:
+def _writer_arguments(name: str, columns: Columns) -> tuple[Any, ...]:
     """Decompose a column into the arguments that `write_rows` expects."""
     prefix, is_valid, column, kind = f'"{name}":'.encode(), columns.valid[name], columns.arrays[name], COLUMNS[name]
     if kind == "integer":

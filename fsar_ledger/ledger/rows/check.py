@@ -23,7 +23,7 @@ from fsar_ledger.ledger.rows.schema import (
     Field,
 )
 
-from . import Columns, Mask, coded, numbers, places, taken, validity, whole
+from . import Columns, Mask, as_columns, as_one_array, coded, numbers, places, validity
 
 Integers: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
 
@@ -54,7 +54,7 @@ def first_flaw(rows: pa.Table | Columns, *, is_whole: bool = True) -> Flaw | Non
     end elsewhere: then a block of rows of a run may begin with any seq, a run may have several blocks, and its concerns
     are not compared with its event 0 if that is elsewhere (see `blocks_of`).
     """
-    decomposed = taken(rows)
+    decomposed = as_columns(rows)
     table, columns = decomposed.table, decomposed.arrays
     if not table.schema.equals(SCHEMA) and not table.schema.equals(CODED_SCHEMA):
         return Flaw(
@@ -97,7 +97,7 @@ def unprintable(table: pa.Table) -> Flaw | None:
     for name, kind in COLUMNS.items():
         if kind not in ("string", "strings"):
             continue
-        column = whole(table.column(name))
+        column = as_one_array(table.column(name))
         if column.null_count == len(column):  # true of most columns of a short run
             continue
         texts = (column.dictionary if kind == "string" else column.flatten().unique()).to_pylist()
@@ -124,11 +124,11 @@ def disordered(table: pa.Table) -> Flaw | None:
     that must stand alone, or an event of a concern that its run does not observe. The rows have the columns of
     `CODED_SCHEMA`, each run in one block.
     """
-    columns = {name: whole(table.column(name)) for name in ("run_id", "type", "time_us", "observes", "records")}
+    columns = {name: as_one_array(table.column(name)) for name in ("run_id", "type", "time_us", "observes", "records")}
     starts = run_starts(columns["run_id"])
     is_first, begins = np.zeros(len(table), bool), np.zeros(len(table), bool)
     is_first[starts] = True
-    begins[starts] = numbers(whole(table.column("seq")))[starts] == 0
+    begins[starts] = numbers(as_one_array(table.column("seq")))[starts] == 0
     types, times_us = columns["type"], numbers(columns["time_us"])
     is_opening = np.array([tag in OPENINGS for tag in types.dictionary.to_pylist()])[numbers(types.indices)]
     suspects = [
@@ -226,10 +226,10 @@ def _unobserved(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
     observes, types = columns["observes"], coded(columns["type"])
     if observes.null_count == len(observes):
         return []
-    rows, names = _named(observes, CONCERNS)
+    rows, names = _name_indexes(observes, CONCERNS)
     suspects = [(int(rows[np.argmax(names < 0)]), "observes", f"some of {list(CONCERNS)}")] if (names < 0).any() else []
     if columns["records"].null_count < len(observes):
-        record_rows, record_names = _named(columns["records"], RECORDS)
+        record_rows, record_names = _name_indexes(columns["records"], RECORDS)
         expected = "event types, and fields of them that may be NULL, as in ExecutionStarted.requested_by"
         suspects += (
             [(int(record_rows[np.argmax(record_names < 0)]), "records", expected)] if (record_names < 0).any() else []
@@ -260,7 +260,7 @@ def _unobserved(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
     ]
 
 
-def _named(lists: pa.Array, known: tuple[str, ...]) -> tuple[Integers, Integers]:
+def _name_indexes(lists: pa.Array, known: tuple[str, ...]) -> tuple[Integers, Integers]:
     """Return the row of each name in these lists, and its index in `known`, -1 if it is not there."""
     sizes: Integers = lists.value_lengths().fill_null(0).to_numpy().astype(np.int64)
     indexes: Integers = (

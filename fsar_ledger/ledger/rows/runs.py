@@ -278,7 +278,7 @@ def counted_on(part: LedgerRun, by: int) -> LedgerRun:
     )
 
 
-def whole(pieces: Sequence[LedgerRun]) -> LedgerRun:
+def whole_run(pieces: Sequence[LedgerRun]) -> LedgerRun:
     """Join all pieces of a run in a ledger. Raises: LedgerCorrupted if one of them is missing."""
     next_seq = 0
     for part in pieces:
@@ -303,14 +303,14 @@ def gathered(parts: Iterable[tuple[int, Sequence[LedgerRun]]], last: Mapping[str
         parts: The end index in the ledger of each part, and its pieces of runs.
         last: The start index of the last piece of each run that may be in several parts.
 
-    Raises: As `whole`.
+    Raises: As `whole_run`.
     """
     pending: dict[str, list[LedgerRun]] = {}
     for end, pieces in parts:
         for part in pieces:
             pending.setdefault(part.run_id, []).append(part)
         for run in [run for run in pending if last.get(run, 0) < end]:
-            yield whole(pending.pop(run))
+            yield whole_run(pending.pop(run))
 
 
 def piece(run: LedgerRun, at: int, end: int) -> LedgerRun:

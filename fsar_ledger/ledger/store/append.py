@@ -153,7 +153,7 @@ class Writer:
     def existing_runs(self) -> RunsAndPlans:
         """Return the runs and plans that the ledger holds. Raises: As `append`; LedgerCorrupted for damaged rows."""
         with self._its_turn():
-            return self._runs().told()
+            return self._runs().runs_and_plans()
 
     def unfinished_runs(self) -> dict[str, int]:
         """Return the runs that later commits may extend, each with its number of events in the ledger."""
@@ -185,7 +185,7 @@ class Writer:
             self._seal_all()
             tree, nodes = pack.grow(self._view.tree(), staged.leaves)
             commit = self._record(staged.rows, tree.size, tree.root(), continues, staged.goes_on, release, signature)
-            self._place(staged, [canonical.document(commit)], tree, nodes, staged.blocks)
+            self._write_placement(staged, [canonical.document(commit)], tree, nodes, staged.blocks)
             self._runs().add(staged.blocks)
         return self._view.head
 
@@ -309,10 +309,10 @@ class Writer:
         journal, chain = self._view.journal, self._view.chain
         if not count:
             return
-        sealed = self._sealing.taken(self._path, journal.frames[:count], chain.tree())
+        sealed = self._sealing.take_segment(self._path, journal.frames[:count], chain.tree())
         stage_made(self._path, sealed.made)
         lines = [frame.line for frame in journal.frames[journal.chained :]]
-        self._place(sealed.made.staged, lines, sealed.tree, sealed.nodes, sealed.blocks, count)
+        self._write_placement(sealed.made.staged, lines, sealed.tree, sealed.nodes, sealed.blocks, count)
         self._journal.remove(is_all=count == len(journal.frames))
 
     # See docs/decisions/writers-take-turns.md.
@@ -356,7 +356,7 @@ class Writer:
             signature = base64.b64encode(signed.key_id + signed.data).decode()
         return Commit(chain.count, chain.sha256, release, rows, size, root.hex(), continues, goes_on, signature)
 
-    def _place(
+    def _write_placement(
         self,
         staged: Staged,
         lines: Sequence[bytes],

@@ -107,7 +107,7 @@ def check_statement(where: str, data: bytes, trusted: VerifierKey | None = None)
         )
     signatures = (statement.of_event, statement.of_root)
     for what, text, signature in zip(("event", "root"), _signed_texts(cbor, statement), signatures, strict=True):
-        if not trusted.made(signature, text):
+        if not trusted.verifies(signature, text):
             raise LedgerCorrupted(
                 f"{where}: found a signature of the {what} that this key did not make, expected one of {trusted.key}, "
                 "the trusted key; rely on nothing in it"

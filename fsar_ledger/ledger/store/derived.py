@@ -79,13 +79,13 @@ def node_reader(ledger: Path, tree: Frontier, others: bytes, rows: Callable[[int
     def leaf_hashes(first: int, end: int) -> bytes:
         return leaves_of(rows(first, end))
 
-    def some(first: int, end: int) -> bytes:
+    def cached_hashes(first: int, end: int) -> bytes:
         block = first >> pack.BASE << pack.BASE  # read and hash a block once
         nodes = leaf_hashes(block, min(block + (1 << pack.BASE), size))
         return nodes[(first - block) * HASH_BYTES : (end - block) * HASH_BYTES]
 
     edge = tree.nodes()
-    stored = pack.node_of(read, some)
+    stored = pack.node_of(read, cached_hashes)
     return lambda height, number: edge.get((height, number)) or stored(height, number)
 
 

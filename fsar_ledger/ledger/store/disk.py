@@ -40,7 +40,7 @@ def read_document(path: Path | str) -> bytes:
     try:
         if not stat.S_ISREG(os.fstat(handle).st_mode):
             raise OSError(0, "it is not a regular file")
-        return _whole(handle)
+        return _read_rest(handle)
     finally:
         close(handle)
 
@@ -80,12 +80,12 @@ def read_given(path: Path | str) -> bytes:
         if not stat.S_ISREG(mode) and not stat.S_ISFIFO(mode):
             raise OSError(0, "it is neither a regular file nor a pipe")
         os.set_blocking(handle, True)  # wait for the pipe's writer
-        return _whole(handle)
+        return _read_rest(handle)
     finally:
         close(handle)
 
 
-def _whole(handle: int) -> bytes:
+def _read_rest(handle: int) -> bytes:
     """Read the rest of the file. Raises: OSError if it is too large or unreadable."""
     data = b""
     while part := os.read(handle, MAX_DOCUMENT_BYTES + 1 - len(data)):

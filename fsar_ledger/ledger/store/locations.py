@@ -20,7 +20,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.fleet import RunContinued
 from fsar_ledger.ledger.rows import codec, segment
 from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS, Block, Runs, blocks_of
-from fsar_ledger.ledger.rows.runs import Flaw, LedgerRun, continuing, counted_on, require_alike, require_next, whole
+from fsar_ledger.ledger.rows.runs import Flaw, LedgerRun, continuing, counted_on, require_alike, require_next, whole_run
 from fsar_ledger.ledger.rows.schema import SCHEMAS, concerns_admitted
 from fsar_ledger.ledger.store.derived import Index, Part, groups_of, require_lines
 from fsar_ledger.ledger.store.read import View
@@ -102,7 +102,7 @@ def records_of(view: View, runs: Sequence[str], size: int | None = None) -> list
             pieces[piece.run_id].append(piece)
     if lacking := [run for run in runs if not pieces[run]]:
         raise UsageError(f"{view.path}: run {printable.value(lacking[0])}: there is no such run")
-    return [continuing([whole(pieces[name]) for name in names]) for names in chains.values()]
+    return [continuing([whole_run(pieces[name]) for name in names]) for names in chains.values()]
 
 
 def pieces_of(view: View, run: str, size: int | None = None) -> Iterator[LedgerRun]:
@@ -324,7 +324,7 @@ class ExistingRuns:
             self._runs.add(block)
             self._indexed.add(block.run)
 
-    def told(self) -> RunsAndPlans:
+    def runs_and_plans(self) -> RunsAndPlans:
         """Return the names of all runs and plans."""
         self._read_all()
         plans = frozenset(run for run, state in self._runs.known.items() if state.is_alone)

@@ -297,7 +297,7 @@ class Sealing:
         """Return whether that segment is finished."""
         return self._found is not None and self._found.done()
 
-    def taken(self, path: Path, frames: Sequence[Frame], before: Frontier) -> Sealed:
+    def take_segment(self, path: Path, frames: Sequence[Frame], before: Frontier) -> Sealed:
         """Return the segment of these frames, making it now if it was not started. Raises: As `sealed`."""
         ready, last = self._found, self._last
         self._found = self._last = None

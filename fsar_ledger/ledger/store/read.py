@@ -110,12 +110,12 @@ class View(msgspec.Struct, frozen=True, dict=True):
 
     def placed_segment(self, placement: Placement, is_laid_out: bool = False) -> Path:
         """Return the segment of this placement, checked as by `segment`. Raises: As `segment`."""
-        path, data = self._placed(placement)
+        path, data = self._placed_segment(placement)
         if not is_laid_out:
             check_layout(path, data)
         return path
 
-    def _placed(self, placement: Placement) -> tuple[Path, bytes]:
+    def _placed_segment(self, placement: Placement) -> tuple[Path, bytes]:
         """Return the segment of this placement, and its bytes as placed. Raises: As `segment`."""
         names = Names(segment_of(placement), CHAIN)
         number = placement.number
@@ -135,7 +135,7 @@ class View(msgspec.Struct, frozen=True, dict=True):
         raise LedgerCorrupted(f"{self.path}/{names.place}: found no file to read, expected the segment; restore it")
 
     def _compacted(self, placement: Placement) -> tuple[Path, bytes] | None:
-        """Return, as `_placed`, a temporary file with the rows of a segment that was compacted since; None if not."""
+        """Return, as `_placed_segment`, a temporary file with the rows of a segment compacted since; None if not."""
         current = open_chain(self.path, canonical.document(self.manifest), is_damage_told=False)
         if placement in current.chain.placed or placement not in current.chain.placements:
             return None
@@ -246,7 +246,7 @@ class View(msgspec.Struct, frozen=True, dict=True):
     def _read(self, number: int, columns: list[str] | None = None) -> pa.Table:
         """Read the rows of this segment in force, coded, with these columns (None: all). Raises: As `segment`."""
         placement = self.chain.placed[number]
-        path, data = self._placed(placement)
+        path, data = self._placed_segment(placement)
         layout = check_layout(path, data)
         if layout.rows != placement.rows:
             raise LedgerCorrupted(f"{path}: found {layout.rows} rows, expected {placement.rows}; restore the file")
