@@ -154,7 +154,7 @@ def _pairing(both: tuple[Side, Side], result: Paired) -> list[str]:
                 "came to, `fsar-ledger query metrics_by_period` each day"
             )
         )
-        lines += [f"found {side.held()}" for side in both]
+        lines += [f"found {side.coverage_text()}" for side in both]
     else:
         lines.append(f"{counted(result.pairs, 'pair')} by seed, scenario and number: {_shared(both, result)}")
         if first.fleet_size != second.fleet_size:

@@ -169,7 +169,7 @@ class Contents(Answer, msgspec.Struct, frozen=True):
 
     def summary(self) -> Iterator[str]:
         """Yield lines on the runs, the plans and the models."""
-        from fsar_ledger.metrics.provenance import shown
+        from fsar_ledger.metrics.provenance import unobserved_text
 
         yield from self._standing()
         if forks := sum(group["runs"] for group in self.groups if group["changes"] is not None):
@@ -196,7 +196,7 @@ class Contents(Answer, msgspec.Struct, frozen=True):
             more = len(self.models) - printable.NAMED
             yield from [f"and {more:,} more, --json names all"] if more > 0 else []
         if self.not_observed:
-            yield f"not observed, so that no answer is about it: {shown(self.not_observed)}"
+            yield f"not observed, so that no answer is about it: {unobserved_text(self.not_observed)}"
 
     def _standing(self) -> Iterator[str]:
         total = counted(self.run_count, "run")

@@ -174,7 +174,7 @@ def _page_options(ledger: "Ledger", requested: Run | None) -> "tuple[PageOptions
     from fsar_ledger.analysis.situation import Coverage
     from fsar_ledger.ledger.rows.runs import start_of
     from fsar_ledger.ledger.store.locations import record_of
-    from fsar_ledger.view import PageOptions, drawn, words_of
+    from fsar_ledger.view import PageOptions, draw_run, words_of
 
     from .events import asked_of, timeline
     from .lookup import about_run, present
@@ -187,7 +187,7 @@ def _page_options(ledger: "Ledger", requested: Run | None) -> "tuple[PageOptions
     provenance = lines.provenance
     head = provenance.head
     picture = PageOptions(
-        drawn(run, name if number is None else f"{number}", words_of(lines.rows())),
+        draw_run(run, name if number is None else f"{number}", words_of(lines.rows())),
         printable.word(ledger.path),
         head.events if head else 0,
         head.root if head else "",

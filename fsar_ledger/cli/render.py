@@ -182,9 +182,9 @@ def opened(ledger: Path, *, verified: bool) -> "Ledger":
 
 def warn(ledger: Path, provenance: "Provenance") -> None:
     """Warn, a line each: of what is not observed, missing or open, and of rows that were not compared."""
-    from fsar_ledger.metrics.provenance import told
+    from fsar_ledger.metrics.provenance import unobserved_line
 
-    if (line := told(provenance.not_observed)) is not None:
+    if (line := unobserved_line(provenance.not_observed)) is not None:
         say(line)
     if provenance.plans is not None and (missing := provenance.plans.warning()) is not None:
         say(f"{ledger}: {missing}; `fsar-ledger info {printable.word(ledger)}` says how to go on")

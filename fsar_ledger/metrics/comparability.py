@@ -203,7 +203,7 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
                 (second, self.second_seeds, self.second_fleet_sizes, self.second_scenarios),
             )
             both = "; ".join(
-                f"{name} under seeds {_named(seeds)}, {_named(sizes)} robots, {_named(scenarios)}"
+                f"{name} under seeds {_list_values(seeds)}, {_list_values(sizes)} robots, {_list_values(scenarios)}"
                 for name, seeds, sizes, scenarios in sides
             )
             return (
@@ -222,7 +222,7 @@ def _runs(count: int, forks: int) -> str:
     return every(parts)
 
 
-def _named(values: Sequence[object] | None) -> str:
+def _list_values(values: Sequence[object] | None) -> str:
     """Return all of a few values, else the first and how many more there are."""
     names = [str(value) for value in values or ()]
     return some(names) if len(names) > NAMED else every(names, "")

@@ -141,7 +141,7 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
         changes = f" with {printable.value(self.changes)}" if self.fork and self.changes else ""
         return f"{printable.value(self.name)} ({counted(self.run_count, 'run')}{changes})"
 
-    def held(self) -> str:
+    def coverage_text(self) -> str:
         """Return in words which seeds, scenarios and numbers its runs have."""
         unnamed = (
             ""
@@ -254,8 +254,8 @@ def chosen(
         UsageError: A name matches no side or several, or a missing name leaves several to choose from.
     """
     firsts, seconds = held[0], held[-1]
-    first = _named("--first", asked[0], firsts, places[0])
-    second = _named("--second", asked[1], seconds, places[-1])
+    first = _requested_side("--first", asked[0], firsts, places[0])
+    second = _requested_side("--second", asked[1], seconds, places[-1])
     if len(held) == 1:
         first, second = _of_one(firsts, first, second, places[0])
         if first.side == second.side:
@@ -290,7 +290,7 @@ def _alike(one: Side | None, held: Sequence[Side]) -> list[Side]:
     return [side for side in named if one and side.fleet_size == one.fleet_size] or named
 
 
-def _named(option: str, text: str | None, held: Sequence[Side], place: str) -> Side | None:
+def _requested_side(option: str, text: str | None, held: Sequence[Side], place: str) -> Side | None:
     if text is None:
         return None
     hits = [side for side in held if text in side.names]

@@ -267,7 +267,7 @@ class Database:
         """Return the answer to one SELECT as dictionaries. Raises: as `table`."""
         self.prepare(sql)
 
-        def asked() -> list[dict[str, Any]]:
+        def fetch_rows() -> list[dict[str, Any]]:
             rows = list[dict[str, Any]]()
             cursor = self._connection.execute(sql, dict(params) if params else None)  # a relation would plan it twice
             names = [column[0] for column in cursor.description or ()]
@@ -276,7 +276,7 @@ class Database:
             return rows
 
         with self._asking(UnicodeDecodeError):  # what a damaged file holds as text may be none
-            return self._within(asked)
+            return self._within(fetch_rows)
 
     def query(self, name: str, given: Mapping[str, str] | None = None) -> pa.Table:
         """Return the rows of a packaged query, sorted by all their columns from the left.

@@ -81,7 +81,7 @@ def default_of(name: str) -> str | None:
 
     None if there is no such constant.
     """
-    return _own().get(name)
+    return _package_defaults().get(name)
 
 
 def unlike_ours(parameters: str) -> list[str]:
@@ -89,7 +89,7 @@ def unlike_ours(parameters: str) -> list[str]:
 
     Raises: BadParameters.
     """
-    actual, ours = _whole(read_constants(parameters)), _own()
+    actual, ours = _all_values(read_constants(parameters)), _package_defaults()
     return [
         f"{name:.{MAX_SHOWN}}={actual.get(name, 'absent'):.{MAX_SHOWN}} (here {ours.get(name, 'absent'):.{MAX_SHOWN}})"
         for name in sorted({*actual, *ours})
@@ -100,15 +100,15 @@ def unlike_ours(parameters: str) -> list[str]:
 @cache
 def names_of_constants() -> tuple[str, ...]:
     """Return the names of all constants that can be set, in order, including groups that are absent by default."""
-    return tuple(sorted(_own()))
+    return tuple(sorted(_package_defaults()))
 
 
 @cache
-def _own() -> dict[str, str]:
-    return _whole(Constants())
+def _package_defaults() -> dict[str, str]:
+    return _all_values(Constants())
 
 
-def _whole(constants: Constants) -> dict[str, str]:
+def _all_values(constants: Constants) -> dict[str, str]:
     """Return every constant by name, with the groups that may be absent at their defaults.
 
     A registered design is represented by its name alone.

@@ -144,7 +144,7 @@ def _settled_of(
         if computed is None:
             return None
         rows |= computed
-        slices.remember(stretch.digest, {texts[name]: slices.written(rows[name]) for name in lacking})
+        slices.remember(stretch.digest, {texts[name]: slices.table_bytes(rows[name]) for name in lacking})
     return {name: _of_run(slices.coded(table), parts.run) for name, table in rows.items()}
 
 

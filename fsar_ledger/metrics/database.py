@@ -227,7 +227,7 @@ class Slices:
         ]
         with pool_of(1) as pool:
             answers = [
-                pool.submit(answered, str(slice_.view.path.absolute()), slice_.runs, slice_.digest, missing)
+                pool.submit(slice_answers, str(slice_.view.path.absolute()), slice_.runs, slice_.digest, missing)
                 if pool is not None and missing and slice_.digest is not None
                 else None
                 for slice_, missing in zip(self._slices, lacking, strict=True)
@@ -237,7 +237,7 @@ class Slices:
                 if missing:
                     answer_here = partial(cuts.answers, slice_, self._head, self._rows_verified, missing)
                     tables = answer_here() if remote is None else remote.result()
-                    computed = {text: slices.written(table) for text, table in tables.items()}
+                    computed = {text: slices.table_bytes(table) for text, table in tables.items()}
                     slices.remember(slice_.digest, computed)
                     answers_held |= computed
                 for name, query in queries.items():
@@ -270,7 +270,7 @@ def keep_known(before: View, after: View) -> None:
         )
 
 
-def answered(
+def slice_answers(
     ledger: str, runs: Sequence[Extent], digest: str, queries: Mapping[str, SliceQuery]
 ) -> dict[str, pa.Table]:
     """Return the answers of the slice of these runs to these queries, by their texts, in another process.

@@ -20,7 +20,7 @@ from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.configuration import FULL
 from fsar_ledger.ledger.rows.schema import RECORDS
 
-from .sql_values import written
+from .sql_values import sql_literal
 
 FILE = "reports/metrics.toml"
 
@@ -138,8 +138,8 @@ DEFINITIONS = (
 def definitions_sql(of: Sequence[Metric] | None = None) -> str:
     """Return the SELECT of the definition of each metric (of these, or of all)."""
     rows = [
-        f"({at}, '{one.name}', '{one.scale}', '{one.better}', {written(one.is_pooled)}, {one.numerator_units}, "
-        f"{written(one.published_value)}::DOUBLE, NULL::DOUBLE, {written(one.paper is not None)})"
+        f"({at}, '{one.name}', '{one.scale}', '{one.better}', {sql_literal(one.is_pooled)}, {one.numerator_units}, "
+        f"{sql_literal(one.published_value)}::DOUBLE, NULL::DOUBLE, {sql_literal(one.paper is not None)})"
         for at, one in enumerate(of or metrics(), 1)
     ]
     return _values("definitions", DEFINITIONS, rows)

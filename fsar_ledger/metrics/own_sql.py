@@ -206,7 +206,7 @@ CREATE MACRO IF NOT EXISTS seq_named(asked) AS if(asked IS NULL, NULL, coalesce(
 _FOUND = frozenset({"robot", "supervisor", "action", "capability", "context", "reason", "record", "seq"})
 
 
-def _named(kind: str) -> str:
+def _name_macro(kind: str) -> str:
     """Return the statement that makes the macro that finds a name of this kind in any run."""
     return _SEQ_NAMED if kind == "seq" else _NAMED.format(kind=kind, names=ON_RECORD[kind].replace("$run", "NULL"))
 
@@ -229,7 +229,7 @@ def statements(query: Query) -> tuple[str, ...]:
     sql = _PARAMETER.sub(r"\1_given", query.sql)
     return (
         _RUN_NAMED,
-        *map(_named, sorted(_FOUND & {parameter.kind for parameter in query.parameters.values()})),
+        *map(_name_macro, sorted(_FOUND & {parameter.kind for parameter in query.parameters.values()})),
         f"CREATE MACRO {macro} AS TABLE SELECT NULL",
         f"CREATE MACRO {query.relation}({declared}) AS TABLE FROM {inner}({understood})",
         f"CREATE OR REPLACE MACRO {macro} AS TABLE\nWITH answer AS NOT MATERIALIZED (\n{sql}\n)\nFROM answer UNION ALL "

@@ -193,13 +193,13 @@ def _lacking(database: Database, named: str = "", run: str | None = None, judge:
     return [Unobserved(**row) for row in rows]
 
 
-def told(found: Iterable[Unobserved]) -> str | None:
+def unobserved_line(found: Iterable[Unobserved]) -> str | None:
     """Return one line for display; None if every run observes everything."""
-    parts = shown(found)
+    parts = unobserved_text(found)
     return f"not observed, so that the answer says nothing about it: {parts}" if parts else None
 
 
-def shown(found: Iterable[Unobserved]) -> str:
+def unobserved_text(found: Iterable[Unobserved]) -> str:
     """Return the concerns, with how many runs do not observe each, as text."""
     return ", ".join(f"{concern.concern} ({concern.runs:,} of {concern.of_runs:,} runs)" for concern in found)
 

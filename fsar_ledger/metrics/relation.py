@@ -33,7 +33,7 @@ from fsar_ledger.ledger.store.shards import HEAD_TYPE
 
 from .connection import Database
 from .library import SQL_TYPES
-from .sql_values import listed, literal, parquet, quoted, written
+from .sql_values import listed, literal, parquet, quoted, sql_literal
 
 _DATASET, _UPCAST, _AS_STORED, _BY_RUN = "events_dataset", "events_upcast", "events_as_stored", "events_by_run"
 _CARRIED = "events_carried"
@@ -118,7 +118,7 @@ def hold_segments(
     stored = [
         (f"(SELECT * FROM {source}{where})" if is_cut else source, present[fingerprint])
         for (fingerprint, is_cut, is_passing), paths in groups.items()
-        if (source := (_kept if is_passing else _read)(database, paths))
+        if (source := (_store_segments if is_passing else _read)(database, paths))
     ]
     if chosen is not None:
         database.hold("run_numbers", chosen.run_numbers)
@@ -227,7 +227,7 @@ def _read(database: Database, paths: Sequence[Path], *options: str) -> str:
     return parquet(paths, *options, is_for_others=database.is_for_others)
 
 
-def _kept(database: Database, paths: Sequence[Path]) -> str:
+def _store_segments(database: Database, paths: Sequence[Path]) -> str:
     """Return a new table with the rows of these segments."""
     name = f"events_kept_{paths[0].stem[:8]}"
     database.define(name, f"SELECT * FROM {parquet(paths)}", is_stored=True)
@@ -309,7 +309,7 @@ def _select(source: str, present: frozenset[str], added: Sequence[str] = ()) -> 
         for name, value in {**upgrade.added, "type": upgrade.after.__struct_config__.tag}.items():
             # One pass over all rows: a second, for these rows alone, would decode the types of all of them once more.
             values[name] = (
-                f"CASE WHEN type = {quoted(tag)} THEN CAST({written(value)} AS {SQL_TYPES[COLUMNS[name]]}) ELSE "
+                f"CASE WHEN type = {quoted(tag)} THEN CAST({sql_literal(value)} AS {SQL_TYPES[COLUMNS[name]]}) ELSE "
                 f"{values[name]} END"
             )
     columns = ", ".join(f'{value} AS "{name}"' for name, value in values.items())

@@ -163,7 +163,7 @@ def _select(question: Question) -> Iterator[pa.RecordBatch]:
         sql = prepared(database, question.sql)
         database.only_read()
         rows = size = 0
-        for batch in map(_plain, _answered(database, sql)):
+        for batch in map(_plain, _answer_batches(database, sql)):
             rows, size = rows + batch.num_rows, size + batch.nbytes
             if rows > limits.rows:
                 raise QueryFailed(f"SQL: found more than {limits.rows:,} rows, the limit; add a LIMIT or aggregate")
@@ -193,7 +193,7 @@ def prepared(database: Database, sql: str) -> str:
     return parsed.sql
 
 
-def _answered(database: Database, sql: str) -> Iterator[pa.RecordBatch]:
+def _answer_batches(database: Database, sql: str) -> Iterator[pa.RecordBatch]:
     """Yield the answer in batches. Raises: As `Database.batches`; QueryFailed also shows how to call a macro."""
     try:
         yield from database.batches(sql)

@@ -162,7 +162,7 @@ def opened_cache() -> Iterator[sqlite3.Connection]:
 
 
 def remembered(of: str | None, texts: Collection[str]) -> dict[str, bytes]:
-    """Return the cached answers of a slice, by the texts of their queries, in the form of `written`."""
+    """Return the cached answers of a slice, by the texts of their queries, in the form of `table_bytes`."""
     if of is None:
         return {}
     with suppress(sqlite3.Error), opened_cache() as cache:
@@ -194,7 +194,7 @@ def coded(table: pa.Table) -> pa.Table:
     return pa.table(columns, table.column_names)
 
 
-def written(table: pa.Table) -> bytes:
+def table_bytes(table: pa.Table) -> bytes:
     """Return the rows as bytes."""
     table = coded(table)
     sink = pa.BufferOutputStream()
@@ -205,7 +205,7 @@ def written(table: pa.Table) -> bytes:
 
 
 def joined(stored: Iterable[bytes]) -> pa.Table:
-    """Return the rows of several results of `written` as one table."""
+    """Return the rows of several results of `table_bytes` as one table."""
     return pa.concat_tables(pa.ipc.open_stream(data).read_all() for data in stored)
 
 

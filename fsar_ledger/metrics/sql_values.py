@@ -38,7 +38,7 @@ def quoted(text: str) -> str:
     return "'" + text.replace("'", "''") + "'"
 
 
-def written(value: Any) -> str:
+def sql_literal(value: Any) -> str:
     """Return a value as a SQL literal."""
     match value:
         case None:
@@ -46,14 +46,14 @@ def written(value: Any) -> str:
         case str():
             return quoted(value)
         case tuple():
-            return f"[{', '.join(map(written, value))}]"
+            return f"[{', '.join(map(sql_literal, value))}]"
         case _:
             return str(value).upper()
 
 
 def listed(values: Iterable[Any]) -> str:
     """Return values as SQL literals, separated by commas."""
-    return ", ".join(map(written, values))
+    return ", ".join(map(sql_literal, values))
 
 
 def parquet(paths: Iterable[str | Path], *options: str, is_for_others: bool = False) -> str:

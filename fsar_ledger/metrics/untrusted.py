@@ -173,19 +173,19 @@ class _Process:
         try:
             self.pipe.send_bytes(data)
         except OSError as error:
-            raise self._gone() from error
+            raise self._query_failure() from error
 
     def receive(self) -> bytes:
         """Return the next message of the process. Raises: QueryFailed if it has ended, or its time is up."""
         try:
             return self.pipe.recv_bytes(self.limits.answer_bytes)
         except (EOFError, OSError) as error:
-            raise self._gone() from error
+            raise self._query_failure() from error
 
     def check_time(self) -> None:
         """Raises: QueryFailed if the time is up."""
         if time.monotonic() >= self._ends:
-            raise self._gone()
+            raise self._query_failure()
 
     def close(self) -> None:
         """End the process and close the pipes to it."""
@@ -195,7 +195,7 @@ class _Process:
         self.pipe.close()
         os.close(self._said)
 
-    def _gone(self) -> QueryFailed:
+    def _query_failure(self) -> QueryFailed:
         if time.monotonic() >= self._ends:
             return QueryFailed(
                 f"SQL: found no answer after {self.limits.seconds} s, the limit; ask for less, or use a packaged query"

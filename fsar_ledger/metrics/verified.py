@@ -275,7 +275,7 @@ def require_runs(view: View) -> None:
 
 def is_remembered(record_sha256: str) -> bool:
     """Return whether this user's `verify`, with these versions, found no fault in a ledger with this newest record."""
-    file = _place(record_sha256)
+    file = _cache_file(record_sha256)
     try:
         return file is not None and is_own_file(file) and disk.read_document(file) == _line(record_sha256)
     except OSError:
@@ -284,7 +284,7 @@ def is_remembered(record_sha256: str) -> bool:
 
 def _remember(record_sha256: str) -> None:
     """Cache the head if possible; otherwise the next answer only claims less."""
-    if cache_folder() is None or (file := _place(record_sha256)) is None:
+    if cache_folder() is None or (file := _cache_file(record_sha256)) is None:
         return
     temporary = file.parent / f"{secrets.token_hex(8)}.part"
     with suppress(OSError):
@@ -342,7 +342,7 @@ def _is_safe(status: os.stat_result) -> bool:
     return status.st_uid == os.geteuid() and not status.st_mode & _BY_OTHERS
 
 
-def _place(record_sha256: str) -> Path | None:
+def _cache_file(record_sha256: str) -> Path | None:
     """Return the cache file of a head.
 
     None if there is no cache, or the versions that read the rows are unknown.

@@ -169,7 +169,7 @@ def gather_audit(ledger: Path, demanded: str | None = None) -> AuditFindings:
             "invariants": arrow(judged, AuditRow),
             "not_observed": arrow(never_observed(database), Unobserved),
             "offences": pa.concat_tables([OFFENCES_SCHEMA.empty_table(), *offences]),
-            "whole": _whole(view),
+            "whole": _ledger_head(view),
             "versions": pa.Table.from_pylist(
                 [{"name": name, "version": number} for name, number in versions().items()]
             ),
@@ -179,7 +179,7 @@ def gather_audit(ledger: Path, demanded: str | None = None) -> AuditFindings:
         return AuditFindings(name, head, relations, sources_of(database, used))
 
 
-def _whole(view: View) -> pa.Table:
+def _ledger_head(view: View) -> pa.Table:
     """Return the head in one row: origin, size, root, the signers named in the newest note, and the signed commits.
 
     No key is given, so no signature is checked. NULL: signers of an unsigned ledger.

@@ -153,7 +153,7 @@ LINES = {"solid": "-", "dashed": "--", "dotted": ":"}
 PALE = "#8fb8d6"
 
 
-def named(series: str) -> str:
+def name_of(series: str) -> str:
     """Return the printed name of a series; architectures have names of their own."""
     return {"roboos": "RoboOS"}.get(series, series.upper()) if series in COLOURS else series
 
@@ -209,7 +209,7 @@ def bars(spec: specs.Bars, rows: Sequence[Row]) -> bytes:
                 panel, max(row[key] for row in panel_rows for key in ("paper", "value", "high") if row[key] is not None)
             )
         handles: list[Any] = [
-            Patch(color=colours[name], label=f"{named(name)}, this ledger")
+            Patch(color=colours[name], label=f"{name_of(name)}, this ledger")
             for name in colours
             if spec.legend and name in COLOURS
         ]
@@ -293,7 +293,7 @@ def _curve_legend(spec: specs.Curve, looks: Mapping[str, tuple[str, str]], rows:
     from matplotlib.lines import Line2D
 
     handles = [
-        Line2D([], [], color=colour, marker=marker, markersize=4, label=named(name))
+        Line2D([], [], color=colour, marker=marker, markersize=4, label=name_of(name))
         for name, (colour, marker) in looks.items()
         if marker
     ]
@@ -384,7 +384,7 @@ def _distance_legend(series: Sequence[str]) -> list[Any]:
     from matplotlib.lines import Line2D
 
     names = [
-        Line2D([], [], color=COLOURS[name], marker=MARKERS[name], markersize=4.4, linestyle="none", label=named(name))
+        Line2D([], [], color=COLOURS[name], marker=MARKERS[name], markersize=4.4, linestyle="none", label=name_of(name))
         for name in series
     ]
     outcomes = [

@@ -109,7 +109,7 @@ class Layout:
     @cached_property
     def drawings(self) -> dict[str, bytes]:
         """Return all figures as SVG, by file name."""
-        return {f"{name}.svg": _drawn(*figure) for name, figure in self._figures.items()}
+        return {f"{name}.svg": _figure_svg(*figure) for name, figure in self._figures.items()}
 
 
 def for_programs(said: Mapping[str, Any], queries: Sequence[Source]) -> bytes:
@@ -138,21 +138,21 @@ def _naming_what_is_shown(sections: list[dict[str, Any]]) -> list[dict[str, Any]
     parts = [part for section in sections for part in section["parts"]]
     targets = {f"@{kinds[part['shape']]}-{part['name']}" for part in parts if part["shape"] in kinds}
 
-    def kept(match: re.Match[str]) -> str:
+    def existing_names(match: re.Match[str]) -> str:
         names = [name for name in match[1].split(", ") if name in targets]
         return f" ({', '.join(names)})" if names else ""
 
     for section in sections:
         for part in section["parts"]:
             if part["shape"] == "text":
-                part["text"] = _NAMES.sub(kept, part["text"])
+                part["text"] = _NAMES.sub(existing_names, part["text"])
         section["parts"] = [
             part for part in section["parts"] if part["shape"] != "text" or set(_NAME.findall(part["text"])) <= targets
         ]
     return sections
 
 
-def _drawn(part: specs.Figure, rows: Sequence[Row]) -> bytes:
+def _figure_svg(part: specs.Figure, rows: Sequence[Row]) -> bytes:
     """Return the figure as SVG."""
     match part:
         case specs.Bars():

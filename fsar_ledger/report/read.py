@@ -174,7 +174,7 @@ def gather(
             model_versions=tuple(sorted({model["model_version"] for model in sets} - {None})),
             table_share=results[2],
             unjudged=results[1],
-            shown=_shown(main, rows),
+            shown=_shown_runs_note(main, rows),
             differing=tuple(map(str, differing_worlds(database))),
             multiverse=multiverse,
         )
@@ -198,7 +198,7 @@ def _results(
 ) -> tuple[Part, str | None, float | None]:
     """Return the results, why some are not judged, and the share of drawn tables as far out as the printed one."""
     main_rows = [row for row in rows if setting_of(row) == main]
-    counts = {} if main is None else {kind: _held(database, main, kind) for kind in HELD_SQL}
+    counts = {} if main is None else {kind: _count_runs(database, main, kind) for kind in HELD_SQL}
     pair = counts.get("architecture", {}), counts.get("comparison", {})
     not_judged = judge.unjudged(*pair)
     drawn = judge.drawn_odds(database, "results", main_rows)
@@ -232,7 +232,7 @@ def _predictive(
     return [] if main is None or not enough else compare_effects(enough, drawn_effects(database, main))
 
 
-def _held(database: Database, main: Main, kind: str) -> dict[str, RunCounts]:
+def _count_runs(database: Database, main: Main, kind: str) -> dict[str, RunCounts]:
     """Return the number of main runs by architecture and scenario, or of their pairs by comparison and scenario."""
     counts: dict[str, dict[str | None, int]] = {}
     for row in database.rows(HELD_SQL[kind], of_all_seeds(main)):
@@ -257,7 +257,7 @@ def _of_one_seed(ledger: Path, demanded: str | None, database: Database, main: M
         yield narrowed
 
 
-def _shown(main: Main | None, rows: Sequence[MetricRow]) -> str | None:
+def _shown_runs_note(main: Main | None, rows: Sequence[MetricRow]) -> str | None:
     """Return which runs the tables show, if the ledger holds others of the same configuration and fleet size."""
     if main is None or {setting_of(row) for row in rows if setting_of(row)[:2] == main[:2]} == {main}:
         return None

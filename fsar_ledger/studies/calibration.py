@@ -33,7 +33,7 @@ from fsar_ledger.runtime.simulation import MODEL_VERSION, SCENARIOS
 
 from .evaluations import CELLS, Answer, Evaluate, Evaluations, evaluate, evaluating, means_of, question_at, simulated
 from .factor_effects import Matrix, Vector
-from .factors import FREE, at, points_over_ranges, value_of
+from .factors import FREE, constants_at, points_over_ranges, value_of
 from .result import RESUME_ADVICE, write
 
 PLAN = registration().fit
@@ -98,7 +98,9 @@ def calibrate(
         best = min(rough, key=lambda result: result.reached)
         last = search(judge, best.point, PLAN.runs, PLAN.most_steps)
         (begun,) = judge.each([best.start], PLAN.runs)
-        accepted = Experiment(PAPER_ARCHITECTURES, SCENARIOS, PLAN.judged_runs, PLAN.seed, constants=at(last.point))
+        accepted = Experiment(
+            PAPER_ARCHITECTURES, SCENARIOS, PLAN.judged_runs, PLAN.seed, constants=constants_at(last.point)
+        )
         with simulated([accepted], workers) as database:
             means = means_of(metric_rows(database))
         record = _result(objective(begun, best.start), best.start, (*rough, last), means)
@@ -194,7 +196,7 @@ def slopes(each: Callable[[list[Vector]], list[Vector]], point: Vector) -> Matri
 
 def _result(begun: float, start: Vector, searches: Sequence[Search], means: Answer) -> Calibration:
     last = searches[-1]
-    constants, differences = at(last.point), distances(means)
+    constants, differences = constants_at(last.point), distances(means)
     _, singular, directions = np.linalg.svd(weighted_slopes(last.slopes, differences), full_matrices=False)
     return Calibration(
         objective=Objective(PLAN.rule, start=round(begun, 3), accepted=round(objective(differences, last.point), 3)),
@@ -204,7 +206,8 @@ def _result(begun: float, start: Vector, searches: Sequence[Search], means: Answ
         rules=rules(METRICS),
         command=Calibration.MADE_BY,
         parameters=[
-            _parameter(free, at(start), constants, directions, singular, index) for index, free in enumerate(FREE)
+            _parameter(free, constants_at(start), constants, directions, singular, index)
+            for index, free in enumerate(FREE)
         ],
         residuals=[
             Residual(
@@ -230,7 +233,7 @@ def _result(begun: float, start: Vector, searches: Sequence[Search], means: Answ
                 runs_per_scenario=search.runs,
                 start=round(search.begun, 3),
                 reached=round(search.reached, 3),
-                ended_at={free.name: value_of(at(search.point), free) for free in FREE},
+                ended_at={free.name: value_of(constants_at(search.point), free) for free in FREE},
             )
             for search in searches
         ],

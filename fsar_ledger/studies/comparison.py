@@ -165,14 +165,14 @@ def _twelve(numbers: Numbers) -> Iterator[Check]:
                     numbers.mean("scaling", metric, architecture, size=size, teams=teams) for size in (8, 12, 16)
                 )
                 yield _between(
-                    f"{metric}, {architecture}, 12 robots, {_said(teams)}", twelve, (eight, sixteen), MARGINS[metric]
+                    f"{metric}, {architecture}, 12 robots, {_teams(teams)}", twelve, (eight, sixteen), MARGINS[metric]
                 )
 
 
 def _twenty_eight(numbers: Numbers) -> Iterator[Check]:
     for teams in (None, 1):
         at_16, at_28 = (numbers.mean("scaling", LOCALITY, size=size, teams=teams) for size in (16, 28))
-        yield _between(f"{LOCALITY}, fsar, 28 robots, {_said(teams)}", at_28, (at_16,), MARGINS[LOCALITY])
+        yield _between(f"{LOCALITY}, fsar, 28 robots, {_teams(teams)}", at_28, (at_16,), MARGINS[LOCALITY])
         falls: dict[str, float | None] = {}
         for architecture in PAPER_ARCHITECTURES:
             before, after = (
@@ -180,43 +180,48 @@ def _twenty_eight(numbers: Numbers) -> Iterator[Check]:
             )
             falls[architecture] = None if before is None or after is None else before - after
         for architecture in ("cfc", "dhma"):
-            text = f"fall of {SUCCESS} from 16 to 28 robots, fsar and {architecture}, {_said(teams)}"
+            text = f"fall of {SUCCESS} from 16 to 28 robots, fsar and {architecture}, {_teams(teams)}"
             yield _less(text, falls["fsar"], falls[architecture])
 
 
 def _loads(numbers: Numbers) -> Iterator[Check]:
-    def at(metric: str, architecture: str, teams: int) -> float | None:
+    def mean_at(metric: str, architecture: str, teams: int) -> float | None:
         of, working = ("loads", teams) if teams in (2, 3) else ("scaling", 1 if teams == 1 else None)
         return numbers.mean(of, metric, architecture, size=16, teams=working)
 
     for architecture in PAPER_ARCHITECTURES:
         for fewer, more in pairwise(range(1, 5)):
-            before, after = at(SUCCESS, architecture, fewer), at(SUCCESS, architecture, more)
+            before, after = mean_at(SUCCESS, architecture, fewer), mean_at(SUCCESS, architecture, more)
             high = None if before is None else before + MARGINS[SUCCESS]
-            yield _check(f"{SUCCESS}, {architecture}, {_said(more)}", after, high=high, is_known=before is not None)
-            before, after = at(CONFLICTS, architecture, fewer), at(CONFLICTS, architecture, more)
+            yield _check(f"{SUCCESS}, {architecture}, {_teams(more)}", after, high=high, is_known=before is not None)
+            before, after = mean_at(CONFLICTS, architecture, fewer), mean_at(CONFLICTS, architecture, more)
             low = None if before is None else before - MARGINS[CONFLICTS]
-            yield _check(f"{CONFLICTS}, {architecture}, {_said(more)}", after, low=low, is_known=before is not None)
+            yield _check(f"{CONFLICTS}, {architecture}, {_teams(more)}", after, low=low, is_known=before is not None)
     for teams in range(1, 5):
         for architecture in ("cfc", "dhma"):
             yield _less(
-                f"{CONFLICTS}, fsar and {architecture}, {_said(teams)}",
-                at(CONFLICTS, "fsar", teams),
-                at(CONFLICTS, architecture, teams),
+                f"{CONFLICTS}, fsar and {architecture}, {_teams(teams)}",
+                mean_at(CONFLICTS, "fsar", teams),
+                mean_at(CONFLICTS, architecture, teams),
             )
 
 
 def _encounters(numbers: Numbers) -> Iterator[Check]:
-    def at(metric: str, mean_s: float) -> float | None:
+    def mean_at(metric: str, mean_s: float) -> float | None:
         return numbers.mean("encounters", metric, encounter_s=mean_s, configuration=without(["shared-registry"]))
 
     for low_s, mean_s, high_s in ((30.0, 50.0, 90.0), (90.0, 200.0, 300.0)):
         yield _between(
-            f"{SUCCESS} at {mean_s:g} s", at(SUCCESS, mean_s), (at(SUCCESS, low_s), at(SUCCESS, high_s)), 0.0
+            f"{SUCCESS} at {mean_s:g} s",
+            mean_at(SUCCESS, mean_s),
+            (mean_at(SUCCESS, low_s), mean_at(SUCCESS, high_s)),
+            0.0,
         )
     for metric in _ablated():
         if metric != SUCCESS:
-            yield _between(f"{metric} at 200 s, as at 50 s", at(metric, 200.0), (at(metric, 50.0),), MARGINS[metric])
+            yield _between(
+                f"{metric} at 200 s, as at 50 s", mean_at(metric, 200.0), (mean_at(metric, 50.0),), MARGINS[metric]
+            )
 
 
 def _triples(numbers: Numbers) -> Iterator[Check]:
@@ -275,5 +280,5 @@ def _ablated() -> list[str]:
     return list(dict.fromkeys(place.metric for place in printed("ablation")))
 
 
-def _said(teams: int | None) -> str:
+def _teams(teams: int | None) -> str:
     return "all teams" if teams is None else f"{teams} team{'s' if teams > 1 else ''}"

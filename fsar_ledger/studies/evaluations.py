@@ -32,7 +32,7 @@ from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.simulation import MODEL_VERSION, SCENARIOS, RunSpec, simulate_run
 
 from .factor_effects import Vector
-from .factors import Setting, at
+from .factors import Setting, constants_at
 from .result import require_out
 
 CELLS: tuple[tuple[str, str], ...] = tuple(
@@ -60,7 +60,7 @@ class Question(msgspec.Struct, frozen=True):
 
 def question_at(point: Vector, seed: int, runs: int) -> Question:
     """Return the question for a point in the registered ranges, for a fleet of four."""
-    return Question(Setting(at(point), 4), seed, runs)
+    return Question(Setting(constants_at(point), 4), seed, runs)
 
 
 Evaluate = Callable[[Question], Answer]

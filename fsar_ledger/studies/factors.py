@@ -77,7 +77,7 @@ class Factor(msgspec.Struct, frozen=True):
         """Return whether there are exactly two settings."""
         return len(self.settings) == 2
 
-    def at(self, position: float) -> Any:
+    def value_at(self, position: float) -> Any:
         """Return the value at a position from 0 (lowest) to 1 (highest), which settings divide equally."""
         if settings := self.settings:
             return settings[min(int(position * len(settings)), len(settings) - 1)]
@@ -90,9 +90,9 @@ class Factor(msgspec.Struct, frozen=True):
             return Range(*(_like(end, end * factor) for end in msgspec.structs.astuple(self.value)))
         return _like(self.value, self.value * factor)
 
-    def shown(self, position: float | None = None) -> str:
+    def value_text(self, position: float | None = None) -> str:
         """Return the base, or the value at a position, as text."""
-        value = self.value if position is None else self.at(position)
+        value = self.value if position is None else self.value_at(position)
         if isinstance(value, Range):
             return f"{printable.number(value.low_s)} to {printable.number(value.high_s)}"
         return "all" if value is None else printable.number(value) if isinstance(value, float) else str(value)
@@ -144,7 +144,7 @@ def setting(all_factors: Iterable[Factor], positions: Mapping[str, float]) -> Se
     for factor in all_factors:
         if factor.name not in positions:
             continue
-        value = factor.at(positions[factor.name])
+        value = factor.value_at(positions[factor.name])
         group, _, name = factor.name.partition(".")
         if group == "fleet":
             fleet_size = value
@@ -189,7 +189,7 @@ def points_over_ranges(size: int, seed: int) -> "list[Vector]":
     return [np.asarray(2.0 * point - 1.0) for point in sobol(size, seed)]
 
 
-def at(point: "Vector") -> Constants:
+def constants_at(point: "Vector") -> Constants:
     """Return the constants at a point."""
     return with_values(
         [
@@ -200,7 +200,7 @@ def at(point: "Vector") -> Constants:
 
 
 def point_of(values: Sequence[float]) -> "Vector":
-    """Return the point at which the free constants have these values; the inverse of `at`, apart from rounding."""
+    """Return the point at which the free constants have these values; inverts `constants_at`, apart from rounding."""
     return np.array(
         [
             np.log(value / free.range.middle) / np.log(free.range.high / free.range.middle)

@@ -25,7 +25,7 @@ from fsar_ledger.metrics.study_results import (
 )
 from fsar_ledger.runtime.simulation import MODEL_VERSION
 
-from .factors import FREE, at
+from .factors import FREE, constants_at
 
 KINDS: dict[str, type[Result]] = {
     "ranking": Ranking,
@@ -60,7 +60,7 @@ def write(out: Path, result: Result, advice: str = ADVICE) -> None:
 
 def grounds(kind: type[GroundedResult]) -> dict[str, Any]:
     """Return the fields that name what a result of this kind rests on in this version."""
-    constants = at(np.zeros(len(FREE))) if kind is Ranking else Constants()
+    constants = constants_at(np.zeros(len(FREE))) if kind is Ranking else Constants()
     return {
         "model_version": MODEL_VERSION,
         "parameters": write_constants(constants),

@@ -231,7 +231,7 @@ def normal_sample(precision: Matrix, sample: Sample) -> Matrix:
 def _result(
     fit: Calibration, sample: SampleAround, answers: Sequence[Answer], clipped: float, cpu_minutes: float
 ) -> Ensemble:
-    plausible = [answer for answer in answers if not _missed(answer)]
+    plausible = [answer for answer in answers if not _missed_cells(answer)]
     basis = plausible or answers
     accepted = write_constants(with_values([parameter.accepted for parameter in fit.parameters]))
     return Ensemble(
@@ -246,7 +246,7 @@ def _result(
     )
 
 
-def _missed(answer: Answer) -> list[int]:
+def _missed_cells(answer: Answer) -> list[int]:
     """Return the indexes of cells that are undefined, or beyond their tolerance."""
     return [
         cell
@@ -272,8 +272,8 @@ def _spread(cell: int, answers: Sequence[Answer], plausible: Sequence[Answer]) -
         discrepancy=round(registration().tolerance(metric, architecture) - margin, 9),
         undefined=len(answers) - len(known),
         within_margin=within(answers),
-        within_tolerance=sum(cell not in _missed(answer) for answer in answers),
-        only_miss=sum(_missed(answer) == [cell] for answer in answers),
+        within_tolerance=sum(cell not in _missed_cells(answer) for answer in answers),
+        only_miss=sum(_missed_cells(answer) == [cell] for answer in answers),
         plausible_within_margin=within(plausible),
         lower_quartile=lower,
         median=median,

@@ -138,9 +138,9 @@ def _factor(factor: Factor, moves: Matrix) -> VariedFactor:
     return VariedFactor(
         name=factor.name,
         origin=factor.origin,
-        low=factor.shown(0.0),
-        base=factor.shown(),
-        high=factor.shown(1.0),
+        low=factor.value_text(0.0),
+        base=factor.value_text(),
+        high=factor.value_text(1.0),
         is_switch=factor.is_switch,
         effects=tuple(effects.count for effects in of_cells),
         **numbers,

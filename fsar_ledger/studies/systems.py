@@ -111,7 +111,7 @@ def moved_constants() -> list[MovedConstant]:
         for position in (0.0, 1.0)
         if (
             moved := MovedConstant(
-                f"{factor.name}={factor.shown(position)}", setting(every_factor, {factor.name: position})
+                f"{factor.name}={factor.value_text(position)}", setting(every_factor, {factor.name: position})
             )
         )
         and moved.setting != base
@@ -142,7 +142,7 @@ def systems(
                 number for trial, values in zip(tried, answers, strict=True) for number in _numbers(trial, values)
             ],
             grades=[grade for name, values in declared.items() for grade in _grades(name, values)],
-            named=[_named(name, values) for name, values in declared.items()],
+            named=[_named_shares(name, values) for name, values in declared.items()],
             moved_runs=MOVED_RUNS,
             held=list(held_ranks([constant.name for constant in moved], ranked)),
         )
@@ -214,5 +214,5 @@ def _grades(architecture: str, values: Sequence[float | None]) -> Iterator[Syste
         )
 
 
-def _named(architecture: str, values: Sequence[float | None]) -> NamedShares:
+def _named_shares(architecture: str, values: Sequence[float | None]) -> NamedShares:
     return NamedShares(architecture=architecture, **dict(zip(FIELDS, values[-len(FIELDS) :], strict=True)))

@@ -98,16 +98,16 @@ def concern_of(event: Event) -> str | None:
     return CONCERN_OF.get(type_name(event))
 
 
-def drawn(run: LedgerRun, name: str, words: Sequence[Words]) -> Drawn:
+def draw_run(run: LedgerRun, name: str, words: Sequence[Words]) -> Drawn:
     """Return the run with everything that is drawn of it. `words` has one element for each event."""
     spans = spans_of(run)
-    labels = tuple(_told(event, event_words) for event, event_words in zip(run.events, words, strict=True))
+    labels = tuple(_event_label(event, event_words) for event, event_words in zip(run.events, words, strict=True))
     lanes = _lanes(run.events, labels, spans)
     arrows = tuple(_arrows(run, labels, {lane.name for lane in lanes}))
     return Drawn(run, name, lanes, spans, arrows, labels)
 
 
-def _told(event: Event, words: Words) -> EventLabel:
+def _event_label(event: Event, words: Words) -> EventLabel:
     fields = flat(event)
     principal = words.sender or words.receiver
     lane = next(
@@ -217,7 +217,7 @@ def _hash(text: str) -> str:
     return "'sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() + "'"
 
 
-def _place(value: Hashable, indexes: dict[Any, int]) -> int:
+def _index(value: Hashable, indexes: dict[Any, int]) -> int:
     """Return the index of a value that is written once and then named by its index."""
     return indexes.setdefault(value, len(indexes))
 
@@ -235,11 +235,11 @@ def _document(options: PageOptions) -> dict[str, Any]:
     for seq, event in enumerate(run.events):
         label = drawn.told[seq]
         fields = flat(event)
-        kind = _place((type_name(event), concern_of(event), tuple(fields)), types)
+        kind = _index((type_name(event), concern_of(event), tuple(fields)), types)
         lane = -1 if label.lane is None else lanes[label.lane]
-        payload = _place((kind, *fields.values()), payloads)
+        payload = _index((kind, *fields.values()), payloads)
         events.append(
-            [run.times_us[seq] - previous_us, run.caused_by[seq], payload, _place(label.words, words), lane, label.task]
+            [run.times_us[seq] - previous_us, run.caused_by[seq], payload, _index(label.words, words), lane, label.task]
         )
         previous_us = run.times_us[seq]
     about = flat(run.events[0])
@@ -287,7 +287,7 @@ _OTHER = "run"
 def trace(drawn: Drawn) -> bytes:
     """Return the run as JSON that Perfetto opens."""
     numbers = _Numbers(drawn)
-    events = [*_named(numbers), *_slices(drawn, numbers), *_instants(drawn, numbers), *_flows(drawn, numbers)]
+    events = [*_metadata_events(numbers), *_slices(drawn, numbers), *_instants(drawn, numbers), *_flows(drawn, numbers)]
     about = {"run": drawn.run.run_id}
     return msgspec.json.encode({"traceEvents": events, "displayTimeUnit": "ms", "otherData": about})
 
@@ -330,7 +330,7 @@ class _Numbers:
         return {"pid": self.processes[lane], "tid": self.rows[lane, MESSAGES, 0]}
 
 
-def _named(numbers: _Numbers) -> Iterator[dict[str, Any]]:
+def _metadata_events(numbers: _Numbers) -> Iterator[dict[str, Any]]:
     for lane, number in numbers.processes.items():
         about = numbers.abouts.get(lane)
         yield _metadata("process_name", number, number, name=f"{lane} ({about})" if about else lane)

@@ -217,7 +217,7 @@ def _world(state: World) -> Iterator[Fact]:
         yield Fact(robot, "world", "unlinked", "", "link down")
 
 
-def _told(state: Knowledge) -> Iterator[Fact]:
+def _fleet_rule_facts(state: Knowledge) -> Iterator[Fact]:
     for robot, outcome in state.fleet_rule.items():
         if outcome != "allow":
             yield Fact(robot, "told", outcome, "", f"told the fleet's rule: {outcome}")
@@ -231,6 +231,6 @@ FACTS: dict[str, Callable[[Any], Iterator[Fact]]] = {
     "authority": _claims,
     "policy": _rules,
     "world": _world,
-    "knowledge": _told,
+    "knowledge": _fleet_rule_facts,
 }
 """The facts of each slot of the state; requests rest on more than one (`_Facts.requests`)."""

@@ -202,7 +202,7 @@ def test_the_report_has_no_number_of_what_is_not_observed(
 ) -> None:
     if not is_typeset:
         monkeypatch.setattr(build, "pdf", lambda *_: b"%PDF-")
-        monkeypatch.setattr(layout, "_drawn", lambda *_: b"<svg/>")
+        monkeypatch.setattr(layout, "_figure_svg", lambda *_: b"<svg/>")
     told = ask(
         *("report", ledgers[concern], "--kind", "paper"),
         *("--out", tmp_path / "report.pdf", "--numbers", tmp_path / "numbers.json"),

@@ -158,8 +158,8 @@ def test_a_worker_that_finds_another_ledger_under_the_path_gives_no_rows(tmp_pat
     ledger, other = simulated(tmp_path / "ledger"), simulated(tmp_path / "other", fleet_size=8)
     _, first, *_ = database.Slices(open_for_answers(ledger.path))._slices
     asked = {"runs": slices.slice_query("SELECT run_id FROM runs")}
-    assert database.answered(str(ledger.path), first.runs, first.digest or "", asked)["runs"].num_rows == len(
+    assert database.slice_answers(str(ledger.path), first.runs, first.digest or "", asked)["runs"].num_rows == len(
         first.runs
     )
     with pytest.raises(SequenceConflict, match="found other events"):
-        database.answered(str(other.path), first.runs, first.digest or "", asked)
+        database.slice_answers(str(other.path), first.runs, first.digest or "", asked)

@@ -30,7 +30,7 @@ from fsar_ledger.studies.calibration import (
 )
 from fsar_ledger.studies.evaluations import CELLS, Answer, Question, evaluate, question_at
 from fsar_ledger.studies.factor_effects import Vector
-from fsar_ledger.studies.factors import FREE, at, point_of, rounded, value_of, with_values
+from fsar_ledger.studies.factors import FREE, constants_at, point_of, rounded, value_of, with_values
 from fsar_ledger.studies.predictions import SEEDS
 from tests.running import ran
 
@@ -92,12 +92,12 @@ def test_values_have_three_digits() -> None:
 def test_a_point_is_the_middle_of_each_range_or_one_of_its_ends() -> None:
     count = len(FREE)
     for place, end in ((-1.0, "low"), (0.0, "middle"), (1.0, "high")):
-        assert at(np.full(count, place)) == with_values([getattr(free.range, end) for free in FREE])
+        assert constants_at(np.full(count, place)) == with_values([getattr(free.range, end) for free in FREE])
 
 
 def test_values_are_found_again_at_their_point() -> None:
     point = np.linspace(-1.0, 1.0, len(FREE))
-    assert point_of([value_of(at(point), free) for free in FREE]) == pytest.approx(point, abs=0.01)
+    assert point_of([value_of(constants_at(point), free) for free in FREE]) == pytest.approx(point, abs=0.01)
 
 
 def test_the_objective_adds_a_robust_loss_of_margins_and_squared_half_ranges() -> None:

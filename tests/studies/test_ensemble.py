@@ -15,7 +15,7 @@ from fsar_ledger.metrics.verdicts import MARGINS, published
 from fsar_ledger.runtime.simulation import MODEL_VERSION
 from fsar_ledger.studies import robustness as study
 from fsar_ledger.studies.evaluations import CELLS, Answer, Question
-from fsar_ledger.studies.factors import FREE, at, point_of, value_of
+from fsar_ledger.studies.factors import FREE, constants_at, point_of, value_of
 from fsar_ledger.studies.robustness import ensemble, normal_sample, points_around
 
 SAMPLE = SampleAround(seed=5, size=256, runs=1, spread=1.0)
@@ -108,7 +108,7 @@ def test_a_point_is_plausible_if_every_cell_is_within_margin_and_discrepancy(tmp
     assert {one.same + one.other for one in found.signs} == {found.plausible}
     assert f"{found.plausible} of {SAMPLE.size} points are plausible" in found.summary()
     assert read(tmp_path / "ensemble.json", Ensemble) == found
-    assert found.parameters == write_constants(at(np.zeros(len(FREE)))), "around the fit that was given"
+    assert found.parameters == write_constants(constants_at(np.zeros(len(FREE)))), "around the fit that was given"
 
 
 @pytest.mark.usefixtures("registered")

@@ -59,14 +59,14 @@ def test_what_is_moved_changes_and_nothing_else() -> None:
 
 
 def test_lengths_are_halved_to_doubled_shares_stay_shares_and_counts_whole() -> None:
-    at = {factor.name: (factor.at(0.0), factor.at(1.0)) for factor in factors()}
+    at = {factor.name: (factor.value_at(0.0), factor.value_at(1.0)) for factor in factors()}
     assert at["world.window_mean_s"] == (Constants().world.window_mean_s / 2, Constants().world.window_mean_s * 2)
     assert at["world.degraded_reliability"] == (0.428571, 0.75)
     assert at["structure.local_attempts"] == (1, 4)
     assert at["structure.peer_helpers"] == (1, 2)
     for factor in factors():
         for position in (0.0, 1 / 3, 0.5, 2 / 3, 1.0):
-            value = factor.at(position)
+            value = factor.value_at(position)
             if factor.kind == "share":
                 assert 0 < value < (1 if isinstance(factor.value, float) else 1_000_000)
             if factor.kind == "count":

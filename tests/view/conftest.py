@@ -6,7 +6,7 @@ import pytest
 
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
-from fsar_ledger.view import PageOptions, Words, drawn
+from fsar_ledger.view import PageOptions, Words, draw_run
 from tests.runtime.pinned import PINNED
 
 ARCHITECTURES = ("fsar", "cfc", "dhma")
@@ -22,7 +22,7 @@ def plain_words(run: LedgerRun) -> Sequence[Words]:
 
 
 def shown(run: LedgerRun, words: Sequence[Words] | None = None) -> PageOptions:
-    picture = drawn(run, "1", plain_words(run) if words is None else words)
+    picture = draw_run(run, "1", plain_words(run) if words is None else words)
     return PageOptions(picture, "out/ledger", len(run.events), "0" * 64, True, ())
 
 

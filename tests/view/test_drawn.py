@@ -8,7 +8,7 @@ import pytest
 from fsar_ledger.events.envelope import recorded_robot
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.view import Words, drawn, trace, type_name
+from fsar_ledger.view import Words, draw_run, trace, type_name
 from tests.view.conftest import ARCHITECTURES, plain_words
 
 FIELDS = {
@@ -28,7 +28,7 @@ def events_of(run: LedgerRun) -> list[dict[str, Any]]:
     sent = [seq for seq, event in enumerate(run.events) if type_name(event) == "RequestIssued"]
     for seq in sent:
         words[seq] = Words(robots[0], robots[1], "request", None, None)
-    document = json.loads(trace(drawn(run, "1", words)))
+    document = json.loads(trace(draw_run(run, "1", words)))
     assert document["displayTimeUnit"] == "ms"
     assert document["otherData"] == {"run": run.run_id}
     found: list[dict[str, Any]] = document["traceEvents"]
@@ -92,7 +92,7 @@ def test_a_flow_begins_and_ends_within_slices(runs: dict[str, LedgerRun]) -> Non
 
 def test_robots_come_first_then_supervisors_then_services(runs: dict[str, LedgerRun]) -> None:
     for run in runs.values():
-        kinds = [lane.name.partition("/")[0] for lane in drawn(run, "1", plain_words(run)).lanes]
+        kinds = [lane.name.partition("/")[0] for lane in draw_run(run, "1", plain_words(run)).lanes]
         assert kinds[:8] == ["robot"] * 4 + ["supervisor"] * 4
         assert kinds == sorted(kinds, key=("robot", "supervisor", "coordinator", "service").index)
 
@@ -104,7 +104,7 @@ def test_a_lane_says_of_its_robot_what_is_known(runs: dict[str, LedgerRun]) -> N
         RobotJoined(robot=recorded_robot("robot/C"), role="", supervisor=None),
     ]
     run = LedgerRun("night", [0] * 4, [None] * 4, [runs["fsar"].events[0], *joined])
-    lanes = drawn(run, "1", plain_words(run)).lanes
+    lanes = draw_run(run, "1", plain_words(run)).lanes
     assert [lane.about for lane in lanes] == ["role agv", "team 2, floor/1", ""]
 
 
@@ -115,7 +115,7 @@ def test_a_request_is_an_arrow_that_arrives_with_its_answer(runs: dict[str, Ledg
     words = list(plain_words(run))
     asker, asked = run.events[sent].principals.requested_by, run.events[answer].principals.decided_by  # type: ignore[attr-defined]
     words[sent] = Words(asker, asked, "request", None, "A1-1/1.1")
-    (arrow,) = drawn(run, "1", words).arrows
+    (arrow,) = draw_run(run, "1", words).arrows
     assert (arrow.sender, arrow.receiver, arrow.kind) == (asker, asked, "request")
     assert (arrow.sent_us, arrow.arrived_us) == (run.times_us[sent], run.times_us[answer])
     assert arrow.arrived_us > arrow.sent_us
