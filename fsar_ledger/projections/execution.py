@@ -148,9 +148,9 @@ def evolve(state: Execution, event: HANDLES) -> Execution:
         case ExecutionFinished():
             known = state.actions.get(event.subject.action_id)
             is_there = known is None or known.robot == event.robot
-            return ended(state, event.subject.action_id) if is_there else state
+            return forget_action(state, event.subject.action_id) if is_there else state
         case ExecutionHeld():
-            return _held(state, event)
+            return _hold_action(state, event)
         case ExecutionPaused():
             return _staged(state, event, "paused", remaining_us=event.remaining_us)
         case ExecutionHalted():
@@ -177,7 +177,7 @@ def evolve(state: Execution, event: HANDLES) -> Execution:
 def _queued(state: Execution, event: ExecutionQueued) -> Execution:
     previous = state.actions.get(event.subject.action_id)
     if previous is not None and (previous.stage != "withdrawn" or previous.on_behalf_of != event.on_behalf_of):
-        state = ended(state, previous.action_id)  # another system's record, which does not show its withdrawal
+        state = forget_action(state, previous.action_id)  # another system's record, which does not show its withdrawal
     action = Action(
         event.subject.task_id,
         event.subject.action_id,
@@ -202,7 +202,7 @@ def _queued(state: Execution, event: ExecutionQueued) -> Execution:
         served = put(served, event.on_behalf_of, (*names, event.subject.action_id))
     if event.robot in state.current:
         queue = state.queues.get(event.robot, ())
-        index = len(queue) if event.override == "none" else _place(state, queue, event.override)
+        index = len(queue) if event.override == "none" else _queue_position(state, queue, event.override)
         return Execution(
             state.current,
             put(state.queues, event.robot, (*queue[:index], event.subject.action_id, *queue[index:])),
@@ -212,7 +212,7 @@ def _queued(state: Execution, event: ExecutionQueued) -> Execution:
     return Execution(put(state.current, event.robot, event.subject.action_id), state.queues, actions, served)
 
 
-def ended(state: Execution, action_id: str) -> Execution:
+def forget_action(state: Execution, action_id: str) -> Execution:
     """Forget the action, which no longer occupies its robot."""
     action = state.actions.get(action_id)
     if action is None:
@@ -221,7 +221,7 @@ def ended(state: Execution, action_id: str) -> Execution:
     left = tuple(name for name in state.served[robot] if name != action_id)
     served = put(state.served, robot, left) if left else without(state.served, robot)
     actions = without(state.actions, action_id)
-    return _left(Execution(state.current, state.queues, actions, served), action.robot, action_id)
+    return _release_robot(Execution(state.current, state.queues, actions, served), action.robot, action_id)
 
 
 def _withdrawn(state: Execution, event: ExecutionWithdrawn) -> Execution:
@@ -232,10 +232,10 @@ def _withdrawn(state: Execution, event: ExecutionWithdrawn) -> Execution:
         return state
     changed = msgspec.structs.replace(action, stage="withdrawn", ends_us=0, remaining_us=0)
     actions = put(state.actions, action_id, changed)
-    return _left(Execution(state.current, state.queues, actions, state.served), event.robot, action_id)
+    return _release_robot(Execution(state.current, state.queues, actions, state.served), event.robot, action_id)
 
 
-def _left(state: Execution, robot: Robot, action_id: str) -> Execution:
+def _release_robot(state: Execution, robot: Robot, action_id: str) -> Execution:
     """Free the robot of the action, or take the action out of its queue."""
     if state.current.get(robot) == action_id:
         return _freed(state, robot)
@@ -245,7 +245,7 @@ def _left(state: Execution, robot: Robot, action_id: str) -> Execution:
 
 def _helps_no_more(state: Execution, robot: Robot, assistance: str) -> Execution:
     is_helping = assistance in (state.current.get(robot), *state.queues.get(robot, ()))
-    return _left(state, robot, assistance) if is_helping else state
+    return _release_robot(state, robot, assistance) if is_helping else state
 
 
 def _set_aside(state: Execution, robot: Robot) -> Execution:
@@ -298,7 +298,7 @@ def _coming(event: AtRobot, action: Action | None) -> ExecutionQueued:
     )
 
 
-def _place(state: Execution, queue: tuple[str, ...], override: OverrideLevel) -> int:
+def _queue_position(state: Execution, queue: tuple[str, ...], override: OverrideLevel) -> int:
     """Return the position in the queue ahead of all weaker actions.
 
     Only an interrupting level goes ahead of an action that was itself interrupted. Paper: eq:override.
@@ -331,7 +331,7 @@ def _preempted(state: Execution, event: ExecutionPreempted) -> Execution:
     return Execution(current, queues, put(state.actions, action_id, changed), state.served)
 
 
-def _held(state: Execution, event: ExecutionHeld) -> Execution:
+def _hold_action(state: Execution, event: ExecutionHeld) -> Execution:
     """Hold the action, which polls the fleet's rule or waits for a window of the robot's own policy to close.
 
     The event has a `path` when the wait is a denial.

@@ -98,7 +98,7 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
     """Return the fleet after the event."""
     match event:
         case RunStarted():
-            fleet = _made(event.parameters)
+            fleet = _empty_fleet(event.parameters)
             return msgspec.structs.replace(
                 fleet,
                 without=removed_mechanisms(event.configuration or ""),
@@ -134,7 +134,7 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
 
 
 @lru_cache(maxsize=4)
-def _made(parameters: str | None) -> Fleet:
+def _empty_fleet(parameters: str | None) -> Fleet:
     """Return a fleet without robots from the run's parameters, or with the defaults if it records none.
 
     Cached, because all runs of an experiment share their parameters.
@@ -151,4 +151,4 @@ def _made(parameters: str | None) -> Fleet:
     )
 
 
-INITIAL = _made(None)
+INITIAL = _empty_fleet(None)

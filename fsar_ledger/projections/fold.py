@@ -191,7 +191,7 @@ def _forget_actions(state: State, recent: set[str]) -> None:
     for name, action in tuple(state.execution.actions.items()):
         is_asked_for = name in state.request.open or _is_at_a_robot(state, name)
         if not is_asked_for and _is_past(state, action.task_id, recent):
-            state.execution = execution.ended(state.execution, name)
+            state.execution = execution.forget_action(state.execution, name)
     state.recovery = _but(state.recovery, [name for name in state.recovery if name not in state.execution.actions])
 
 

@@ -31,7 +31,7 @@ class Policy(msgspec.Struct, frozen=True, dict=True):
     members: Mapping[Robot, Member] = {}
 
     @cached_property
-    def named(self) -> frozenset[Robot]:
+    def named_robots(self) -> frozenset[Robot]:
         """The robots for which there is a rule by name."""
         return frozenset(robot for _, robot, _, _ in self.rules if robot is not None)
 
@@ -109,7 +109,7 @@ def rules_in_force(state: Policy) -> Iterator[RuleInForce]:
             *((scope, capability, context) for scope, _, _, capability, context in state.of_roles),
         )
     )
-    for robot in dict.fromkeys((*state.members, *sorted(state.named))):
+    for robot in dict.fromkeys((*state.members, *sorted(state.named_robots))):
         for scope, capability, context in about:
             for _, outcome in _about(state, scope, robot, capability, context):
                 yield RuleInForce(robot, scope, capability, context, outcome)

@@ -157,9 +157,9 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
     """Return the requests after the event."""
     match event:
         case StepBegan():
-            return _begun(state, event)
+            return _begin_request(state, event)
         case ExecutionFinished() | RequestClosed() | RequestDenied():
-            return _ended(state, event)
+            return _end_request(state, event)
         case StepCompleted():
             return removed(state, event.subject.action_id)
         case TaskAbandoned():
@@ -204,12 +204,12 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
         case RequestCountered():
             return _changed(state, event.subject.action_id, offers=event.round, offered=event.override)
         case OfferAnswered():
-            return _answered(state, event)
+            return _apply_offer_answer(state, event)
         case _:
             assert_never(event)
 
 
-def _begun(state: Requests, event: StepBegan) -> Requests:
+def _begin_request(state: Requests, event: StepBegan) -> Requests:
     """Begin the request for the step, which replaces the task's earlier one."""
     others = removed(state, state.of_task.get(event.subject.task_id))
     begun = Request(
@@ -306,7 +306,7 @@ def _issued(state: Requests, event: RequestIssued) -> Requests:
     return Requests(put(state.open, action_id, adhoc), state.of_task, state.past, state.most)
 
 
-def _ended(state: Requests, event: ExecutionFinished | RequestClosed | RequestDenied) -> Requests:
+def _end_request(state: Requests, event: ExecutionFinished | RequestClosed | RequestDenied) -> Requests:
     """End the request or set its result; the success of a step is only known when the step ends."""
     request = state.open.get(event.subject.action_id or "")
     if request is None:
@@ -350,7 +350,7 @@ def _unanswered(state: Requests, event: RequestUnanswered) -> Requests:
     return _changed(state, event.subject.action_id, silent=silent, target=None, is_accepted=False, is_unanswered=True)
 
 
-def _answered(state: Requests, event: OfferAnswered) -> Requests:
+def _apply_offer_answer(state: Requests, event: OfferAnswered) -> Requests:
     """Record the requester's answer: the executor evaluates again, or the request is over."""
     request = state.open.get(event.subject.action_id or "")
     if request is None:

@@ -300,7 +300,7 @@ def alike(
 
     Robots that a rule, or trust in the requester, names come alone.
     """
-    entries, named = state.trust.entries, state.policy.named
+    entries, named = state.trust.entries, state.policy.named_robots
     for record, robots in offered.alike:
         alone = {requester}
         if entries or named:
