@@ -127,11 +127,11 @@ def _parsed(text: str) -> Changes:
         # Converting checks every field.
         return tuple(msgspec.convert(msgspec.to_builtins(change), AnyChange) for change in changes)
     except (ValueError, TypeError, msgspec.MsgspecError) as error:
-        found_text = _told(error)
+        found_text = _error_prefix(error)
         raise UsageError(f"change {printable.value(text)}: {found_text}expected {FORMS[verb]}") from error
 
 
-def _told(error: Exception) -> str:
+def _error_prefix(error: Exception) -> str:
     if isinstance(error, msgspec.MsgspecError):
         return f"{printable.value(str(error).partition(' - at ')[0])}; "
     return f"{error}; " if isinstance(error, _Unfit) else ""

@@ -326,7 +326,7 @@ class EditedEnvironment:
         name = name_of(ask)
         if name is None:
             return usual
-        asked_as, text = self._said(name, ask.key)
+        asked_as, text = self._changed_answer(name, ask.key)
         answer = None if text is None else answer_of(name.partition(":")[0], text)
         if answer is None:
             return usual
@@ -340,7 +340,7 @@ class EditedEnvironment:
         Raises:
             UsageError: The model has no law for it.
         """
-        asked_as, text = self._said(name, ask.key)
+        asked_as, text = self._changed_answer(name, ask.key)
         if text is None:
             return None
         self.used.add(asked_as)
@@ -352,7 +352,7 @@ class EditedEnvironment:
         except KeyError as error:
             raise UsageError(f"answer {asked_as} {text}: the model does not say how long {ask.what} takes") from error
 
-    def _said(self, name: str, key: str) -> tuple[str, str | None]:
+    def _changed_answer(self, name: str, key: str) -> tuple[str, str | None]:
         """Return the name that the changes use for this question, and their answer; None: they give none."""
         kind = name.partition(":")[0]
         if kind == RESPONSE:

@@ -208,17 +208,17 @@ def _is_signed(view: View) -> bool:
 def shape(plan: Mapping[str, Any]) -> str:
     """Describe a plan: `door-relay x 20 runs x fsar, cfc (full), seed 42, 4 robots`."""
     parts = (
-        _some(plan["scenarios"], "scenarios"),
+        _names_or_count(plan["scenarios"], "scenarios"),
         printable.counted(plan["run_count"], "run") + (f" from {plan['first_run']:,}" if plan["first_run"] else ""),
-        _some(plan["architectures"], "architectures"),
+        _names_or_count(plan["architectures"], "architectures"),
     )
     configurations = (
-        "" if plan["configurations"] == ["full"] else f" ({_some(plan['configurations'], 'configurations')})"
+        "" if plan["configurations"] == ["full"] else f" ({_names_or_count(plan['configurations'], 'configurations')})"
     )
     return f"{' x '.join(parts)}{configurations}, seed {plan['seed']}, {plan['fleet_size']} robots"
 
 
-def _some(names: list[str], what: str) -> str:
+def _names_or_count(names: list[str], what: str) -> str:
     return ", ".join(map(printable.value, names)) if len(names) < printable.NAMED else f"{len(names):,} {what}"
 
 
@@ -227,7 +227,7 @@ def continues_with(plan: Mapping[str, Any], parameters: str, ledger: PlanRow) ->
 
     No call has it if the model, the constants or the names differ.
     """
-    arguments = _asked(plan, parameters)
+    arguments = _arguments_of_plan(plan, parameters)
     try:
         if arguments is None or plan_id(experiment_of(**arguments).plan()) != plan["plan"]:
             return None
@@ -236,7 +236,7 @@ def continues_with(plan: Mapping[str, Any], parameters: str, ledger: PlanRow) ->
     return " ".join(("fsar-ledger simulate", printable.word(ledger.path), *_options(arguments), *_name(ledger.view)))
 
 
-def _asked(plan: Mapping[str, Any], parameters: str) -> dict[str, Any] | None:
+def _arguments_of_plan(plan: Mapping[str, Any], parameters: str) -> dict[str, Any] | None:
     """Return the arguments of `experiment_of` for such a plan; None if its constants cannot be read.
 
     An argument is None if it has its default.

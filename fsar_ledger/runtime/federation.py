@@ -107,13 +107,13 @@ class Federation:
                 if not self._recall(view):
                     self._resume(view)
             else:
-                self._found(constants, robots, isolation)
+                self._begin_new_run(constants, robots, isolation)
                 self._commit()
         except BaseException:
             self._end()
             raise
 
-    def _found(self, constants: Constants, robots: int, isolation: Isolation | None) -> None:
+    def _begin_new_run(self, constants: Constants, robots: int, isolation: Isolation | None) -> None:
         """Begin a new run: of a fleet, at this moment, or of a robot alone, in the run time of its fleet."""
         now_us = self._clock() // 1_000
         if isolation is None:
@@ -280,7 +280,7 @@ class Federation:
             self._has_failed = True  # until it is on disk, nobody may act on the state in memory
             begins = isinstance(piece.events[0], RunContinued)
             stored = counted_on(piece, -self._before) if self._before else piece
-            self._write(self._begun(stored) if begins else stored)
+            self._write(self._continuing_run(stored) if begins else stored)
             self._has_failed = False
             if begins:
                 self._began_us = piece.times_us[0]
@@ -306,7 +306,7 @@ class Federation:
             )
             raise SequenceConflict(self._overtaken) from error
 
-    def _begun(self, piece: LedgerRun) -> LedgerRun:
+    def _continuing_run(self, piece: LedgerRun) -> LedgerRun:
         """Return the beginning of a run that continues another: this piece after an event 0 like the other's."""
         times_us, causes = (piece.times_us[0], *piece.times_us), (None, *piece.caused_by)
         return LedgerRun(self.run, times_us, causes, (self._started, *piece.events), goes_on=True)
@@ -322,7 +322,7 @@ class Federation:
 
     def _keep(self) -> None:
         """Save a snapshot of the run, for the next federation of it."""
-        known = (self._started, self._live.kernel.known(), self._keys, self._before, self._began_us)
+        known = (self._started, self._live.kernel.saved_state(), self._keys, self._before, self._began_us)
         snapshot.save(self._path, self.run, self._writer.head, known)
         self._kept = self.size
 

@@ -48,7 +48,7 @@ from .changes import (
     seconds_text,
 )
 from .handlers.policy import SetPolicyRule
-from .handlers.public import commands, given
+from .handlers.public import command_record, commands
 from .handlers.recovery import SetRecoveryBudget
 from .handlers.supervision import SetSupervisionDensity
 from .handlers.trust import SetTrust
@@ -80,11 +80,11 @@ def edited_facts(
     Raises:
         UsageError: A fact would happen before the run begins, or after it has ended.
     """
-    placed, names = _placed(facts), facts_by_name(tuple(facts))
+    placed, names = _indexed_facts(facts), facts_by_name(tuple(facts))
     for change in changes:
         if counts_anew:
             remaining = _unplaced(placed)
-            placed, names = _placed(remaining), facts_by_name(remaining)
+            placed, names = _indexed_facts(remaining), facts_by_name(remaining)
         placed = _changed(placed, change, names, last_us)
     return united(_unplaced(placed), _placed_by(changes, facts)) if unites else _unplaced(placed)
 
@@ -97,7 +97,7 @@ def _placed_by(changes: Sequence[OfFacts], facts: Sequence[Fact]) -> list[Event]
     return [*added, *(facts[index][1] for name in moved for index in names[name])]
 
 
-def _placed(facts: Sequence[Fact]) -> list[_Placed]:
+def _indexed_facts(facts: Sequence[Fact]) -> list[_Placed]:
     return [(time_us, fact, index) for index, (time_us, fact) in enumerate(facts)]
 
 
@@ -191,9 +191,10 @@ def edited_environment(recipe: Recipe) -> EditedEnvironment:
     fleet = fleet_founding(recipe.spec.fleet_size, recipe.constants, recipe.live.alone)[1].fleet
     issued = [(change, _commanded(fleet, change)) for change in recipe.changes if isinstance(change, Commanded)]
     commanded: list[_Placed] = [
-        (max(1, microseconds_of(change.from_s)), given(command, command.issued_by), None) for change, command in issued
+        (max(1, microseconds_of(change.from_s)), command_record(command, command.issued_by), None)
+        for change, command in issued
     ]
-    facts = _unplaced(_apart(_placed(facts), commanded))
+    facts = _unplaced(_apart(_indexed_facts(facts), commanded))
 
     def draws(seed: int) -> Draws:
         return draws_of(msgspec.structs.replace(recipe.spec, seed=seed), recipe.constants)

@@ -215,15 +215,15 @@ def _founding_differences(record: LedgerRun, fleet: View) -> Iterator[Difference
 def _difference(run: str, seq: int, name: str, found: Any, expected: Any) -> Difference:
     """Return the difference; between two foundings, that of the first event that differs."""
     if name != "founding":
-        return Difference(run, seq, name, None, _shown(expected), _shown(found))
+        return Difference(run, seq, name, None, _repr_text(expected), _repr_text(found))
     differing = next((at for at, pair in enumerate(zip(found, expected, strict=False)) if pair[0] != pair[1]), None)
     index = min(len(found), len(expected)) if differing is None else differing
     missing = "the end of the founding"
-    wanted, actual = (_shown(events[index]) if index < len(events) else missing for events in (expected, found))
+    wanted, actual = (_repr_text(events[index]) if index < len(events) else missing for events in (expected, found))
     return Difference(run, seq + index, None, None, wanted, actual)
 
 
-def _shown(part: Any) -> str:
+def _repr_text(part: Any) -> str:
     return value(repr(part))
 
 

@@ -162,13 +162,13 @@ class Kernel:
         self.times_us, self.caused_by, self.events = [], [], []
         return taken
 
-    def known(self) -> tuple[Any, ...]:
+    def saved_state(self) -> tuple[Any, ...]:
         """Return the state of a run whose events were taken out, for `recall`; it must not be modified."""
         pending = self._pending, self._held_back, self._serial, self._turn_us, self._submitted_us
         return self.first, self.state, pending, self._taken, self._cut
 
     def recall(self, known: tuple[Any, ...]) -> None:
-        """Continue from what `known` returned for a run of the same architecture."""
+        """Continue from what `saved_state` returned for a run of the same architecture."""
         self.times_us, self.caused_by, self.events = [], [], []
         self.first, self.state, pending, self._taken, self._cut = known
         self._pending, self._held_back, self._serial, self._turn_us, self._submitted_us = pending

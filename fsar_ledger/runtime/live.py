@@ -30,7 +30,7 @@ from fsar_ledger.projections.fold import State
 from .changeable import question_name
 from .handlers.commands import ActionCommand, Command, Respond, Scheduled
 from .handlers.isolation import founded_alone
-from .handlers.public import commands, given, read, texts_of
+from .handlers.public import command_record, commands, read, texts_of
 from .handlers.request import ReportResult
 from .kernel import Kernel
 from .ports import ANSWERS_LATER, AS_USUAL, Ask, Fact, LiveEnvironment
@@ -87,7 +87,7 @@ class LiveRun:
     ) -> None:
         """Begin the run, or rebuild it from the commands on record, up to the last recorded event.
 
-        `known`: the run before the record (`Kernel.known`); None: the record is complete. `alone`: the founding events
+        `known`: the run before the record (`Kernel.saved_state`); None: it is complete. `alone`: the founding events
         of the run of a robot alone, if the record lacks them.
         """
         alone = alone or founded_alone(() if record is None else record.events)
@@ -163,7 +163,7 @@ def command_given(
             f"{', '.join(sorted(commands()))}"
         )
     try:
-        event = given(read(kind, msgspec.json.encode(fields).decode()), by, key=key, source_time_us=sent_us)
+        event = command_record(read(kind, msgspec.json.encode(fields).decode()), by, key=key, source_time_us=sent_us)
     except (msgspec.ValidationError, TypeError, UnicodeEncodeError) as error:
         raise UsageError(f"command {name}: {error!s:.300}") from error
     for field, number in fields.items():
@@ -284,7 +284,7 @@ class LiveKernel(Kernel):
                 super().run(until_us, most)
 
     def _unanswered(self, scheduled: Scheduled, ask: Ask, time_us: int) -> int | None:
-        whom = self._whom(scheduled, ask)
+        whom = self._asked_principal(scheduled, ask)
         answer = None if whom is None else self._put(ask, whom, self._action(scheduled), time_us)
         if self.end is not None and ask is scheduled.ask:
             raise _Ended
@@ -308,7 +308,7 @@ class LiveKernel(Kernel):
         self._lost.add((about, ask.port))
         return answer
 
-    def _whom(self, scheduled: Scheduled, ask: Ask) -> str | None:
+    def _asked_principal(self, scheduled: Scheduled, ask: Ask) -> str | None:
         """Return who is asked; None: no answer would have an effect."""
         command = scheduled.command
         if ask is scheduled.ask:

@@ -73,7 +73,7 @@ def with_own(
         _require(path, text, problems_of_scenario(design, for_fleet))
         _require(path, text, problems_of_commands(design, for_fleet))
         if design.name in registered.scenarios():
-            _require(path, text, [_taken(design.name, registered.scenarios())])
+            _require(path, text, [_name_taken(design.name, registered.scenarios())])
         own = design
         constants = _with_settings_of(constants, design, path, text, settings)
     constants = msgspec.structs.replace(constants, scenario=own, fleet=own_fleet)
@@ -122,7 +122,7 @@ def _fleet(name: str | None) -> Fleet | None:
         fleet, text = read_design(Path(name), Fleet)
         _require(Path(name), text, problems_of_fleet(fleet))
         if fleet.name in registered.fleets():
-            _require(Path(name), text, [_taken(fleet.name, registered.fleets())])
+            _require(Path(name), text, [_name_taken(fleet.name, registered.fleets())])
         return fleet
     if name not in registered.fleets():
         names = ", ".join(registered.fleets())
@@ -190,7 +190,7 @@ def _problems_of_fields(about: Field, one: OutsideCommand, fleet: Fleet) -> Iter
         yield Problem((*about, "capability"), printable.value(name), expected)
 
 
-def _taken(name: str, names: Sequence[str]) -> Problem:
+def _name_taken(name: str, names: Sequence[str]) -> Problem:
     return Problem(("name",), name, f"a name other than the registered ones: {', '.join(names)}")
 
 

@@ -168,14 +168,14 @@ class _AnswerSearch(Kernel):
         ]
         for is_made in (_is_same, _is_same_kind):
             for item in candidates:
-                answer = self._told(batch, time_us, item[3], is_made)
+                answer = self._matching_answer(batch, time_us, item[3], is_made)
                 if answer is not None:
                     self._take(item, time_us, answer)
                     return
         for item in self._passed:
             if item[2] != cause or time_us - item[0] > self._under_way:
                 continue
-            answer = self._told(batch, time_us, item[3], _is_same)
+            answer = self._matching_answer(batch, time_us, item[3], _is_same)
             if answer is not None:
                 self.later_us[item[1]] = time_us
                 if item[3].ask is not None:
@@ -183,7 +183,7 @@ class _AnswerSearch(Kernel):
                 self._passed.remove(item)
                 return
 
-    def _told(self, batch: Batch, time_us: int, scheduled: Scheduled, is_made: Compare) -> int | None:
+    def _matching_answer(self, batch: Batch, time_us: int, scheduled: Scheduled, is_made: Compare) -> int | None:
         """Return the answer with which the command decides this batch, 0 if it asks nothing; None if there is none."""
         command, ask = scheduled.command, scheduled.ask
         command.now_us = time_us

@@ -157,7 +157,7 @@ def _within(path: Path, file: Path) -> str:
     return str(file.relative_to(path) if file.is_relative_to(path) else file)
 
 
-def _place(file: str) -> str:
+def _ledger_file(file: str) -> str:
     """Return the file of the ledger that holds the rows; rows of the journal are read from a file elsewhere."""
     return JOURNAL if Path(file).is_absolute() else file
 
@@ -206,10 +206,12 @@ def replay_commit(
                 runs, events = runs + parts, events + size
                 starts += [started] if isinstance(started, RunStarted) else []
             else:
-                differences.append(msgspec.structs.replace(difference, commit=number, segment=_place(files[0])))
+                differences.append(msgspec.structs.replace(difference, commit=number, segment=_ledger_file(files[0])))
     except Exception as error:  # a check that fails in an unforeseen way is still a finding
         differences.append(
-            Difference(None, None, None, None, "runs that can be replayed", error_text(error), number, _place(files[0]))
+            Difference(
+                None, None, None, None, "runs that can be replayed", error_text(error), number, _ledger_file(files[0])
+            )
         )
     return CommitReport(tuple(differences), constants_used(starts), runs, events, tuple(digests), recordings)
 

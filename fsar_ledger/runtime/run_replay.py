@@ -204,7 +204,7 @@ class _Replay(RecordedKernel):
         """Check that the record has this event at that seq. Raises: _Mismatch."""
         stored = self._stored
         if seq >= self._count:
-            raise _Mismatch(stored.run_id, seq, "type", self.handler(), _at(event, time_us), _END)
+            raise _Mismatch(stored.run_id, seq, "type", self.handler(), _describe_event(event, time_us), _END)
         if stored.events[seq] != event or stored.times_us[seq] != time_us or stored.caused_by[seq] != cause:
             raise self._missed_decision(seq) or _Mismatch(
                 stored.run_id, seq, *self._first_field(seq, event, time_us, cause)
@@ -214,7 +214,7 @@ class _Replay(RecordedKernel):
         """Return the first field in which the recorded event differs: name, handler, expected, actual."""
         stored, actual_us = self._stored.events[seq], self._stored.times_us[seq]
         if type(stored) is not type(event):
-            return "type", self.handler(), _at(event, time_us), self._actual(seq)
+            return "type", self.handler(), _describe_event(event, time_us), self._actual(seq)
         pairs: list[tuple[str, object, object]] = [
             ("time_us", time_us, actual_us),
             ("caused_by", cause, self._stored.caused_by[seq]),
@@ -223,14 +223,14 @@ class _Replay(RecordedKernel):
         pairs += [(name, value, actual_values[name]) for name, value in expected_values.items()]
         name, expected, actual = next(pair for pair in pairs if pair[1] != pair[2])
         if type(event) in FACTS and name != "caused_by":
-            return name, self.handler(), _at(event, time_us), self._actual(seq)
+            return name, self.handler(), _describe_event(event, time_us), self._actual(seq)
         return name, self.handler(), f"{expected!r:.300}", f"{actual!r:.300}"
 
     def _actual(self, seq: int) -> str:
         """Describe the recorded event; for a fact of the world, note if the world does not have it."""
         event, time_us = self._stored.events[seq], self._stored.times_us[seq]
         invented = type(event) in FACTS and (time_us, event) not in self._facts
-        return _at(event, time_us) + (", which the world of this run does not have" if invented else "")
+        return _describe_event(event, time_us) + (", which the world of this run does not have" if invented else "")
 
     def _missed_decision(self, seq: int) -> _Mismatch | None:
         """Return the mismatch if a handler ran at the time of the recorded event without an event, else None."""
@@ -307,7 +307,7 @@ def function_name(function: Callable[..., object]) -> str:
     return f"{function.__module__}.{function.__qualname__}".removeprefix("fsar_ledger.runtime.")
 
 
-def _at(event: Event, time_us: int) -> str:
+def _describe_event(event: Event, time_us: int) -> str:
     """Describe the event; for a fact of the world, with its fields."""
     about = ", ".join(f"{name} {value!r:.80}" for name, value in flat(event).items()) if type(event) in FACTS else ""
     return f"{event.__struct_config__.tag} at {time_us} microseconds{f' ({about})' if about else ''}"
@@ -317,7 +317,7 @@ def _start_replay(record: LedgerRun, is_recorded: bool, rules: Rules) -> _Replay
     """Return the run at its founding. Raises: _Mismatch if it cannot be replayed, or founding or name differ."""
     started = record.events[0]
     if not isinstance(started, RunStarted):
-        raise _Mismatch(record.run_id, 0, "type", None, "RunStarted.v2", _at(started, record.times_us[0]))
+        raise _Mismatch(record.run_id, 0, "type", None, "RunStarted.v2", _describe_event(started, record.times_us[0]))
     if (before := continued_by(record)) is not None:
         expected = "a run that the ledger holds before this one, since this one goes on from its state"
         raise _Mismatch(record.run_id, 1, "continues", None, expected, f"{before!r}")

@@ -63,7 +63,7 @@ def save(ledger: Path, run: str, head: Head, known: object) -> None:
     """Save the state of the run at this head of the ledger. A disk error is ignored."""
     data = pickle.dumps(known, protocol=5)
     line = msgspec.json.encode(Snapshot(run, head.size, head.root, _code(), hashlib.sha256(data).hexdigest()))
-    path = place(ledger, run)
+    path = snapshot_path(ledger, run)
     temporary = path.with_suffix(f".{os.getpid()}")
     with suppress(OSError):
         path.parent.mkdir(exist_ok=True)
@@ -75,10 +75,10 @@ def save(ledger: Path, run: str, head: Head, known: object) -> None:
 def drop(ledger: Path, run: str) -> None:
     """Remove the snapshot of a run that continues as another one. A disk error is ignored."""
     with suppress(OSError):
-        place(ledger, run).unlink()
+        snapshot_path(ledger, run).unlink()
 
 
-def place(ledger: Path, run: str) -> Path:
+def snapshot_path(ledger: Path, run: str) -> Path:
     """Return the path of the run's snapshot."""
     return ledger.with_name(f"{ledger.name}.snapshots") / hashlib.sha256(run.encode()).hexdigest()[:16]
 
@@ -86,7 +86,7 @@ def place(ledger: Path, run: str) -> Path:
 def load(view: View, run: str) -> tuple[Any, LedgerRun | None] | None:
     """Return the saved state of the run, and its events since then, if any; None without a valid snapshot."""
     try:
-        line, _, data = place(view.path, run).read_bytes().partition(b"\n")
+        line, _, data = snapshot_path(view.path, run).read_bytes().partition(b"\n")
         snapshot = msgspec.json.decode(line, type=Snapshot)
     except (OSError, msgspec.DecodeError, UnicodeDecodeError):
         return None
@@ -113,7 +113,7 @@ class Hold:
 
     def __init__(self, ledger: Path, run: str) -> None:
         self._handle: int | None = None
-        lock = place(ledger, run).with_suffix(".lock")
+        lock = snapshot_path(ledger, run).with_suffix(".lock")
         with suppress(OSError):
             lock.parent.mkdir(exist_ok=True)
             self._handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)

@@ -81,7 +81,7 @@ class Principals:
     def __len__(self) -> int:
         return len(self._by_id)
 
-    def known(self, authorization: str) -> Principal | None:
+    def authenticate(self, authorization: str) -> Principal | None:
         """Return the principal whose token this header has (`Bearer fsar.ID.SECRET`), or None."""
         if (now := self._state()) != self._seen:
             self._by_id, self._seen = _read(self._path), now

@@ -156,7 +156,7 @@ class Client:
         """Return the answer, retrying transient errors. Raises: Refused for any other error, or in the end."""
         for pause_s in self._pauses():
             try:
-                status, answer = self._asked(method, path, body, headers)
+                status, answer = self._send_request(method, path, body, headers)
             except (OSError, http.client.HTTPException) as error:
                 status, answer = 503, f"the service does not answer ({error})".encode()
                 self.close()
@@ -167,7 +167,7 @@ class Client:
             self._pause(pause_s)
         raise Refused(status, _reason(answer))
 
-    def _asked(self, method: str, path: str, body: bytes | None, headers: dict[str, str]) -> tuple[int, bytes]:
+    def _send_request(self, method: str, path: str, body: bytes | None, headers: dict[str, str]) -> tuple[int, bytes]:
         if self._line is None:
             self._line = self._connection()
         self._line.request(method, path, body, {**self._headers(), **headers})

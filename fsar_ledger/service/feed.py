@@ -259,14 +259,14 @@ class EventStream(Response):
         async def put(body: bytes) -> None:
             await asyncio.wait_for(send({"type": "http.response.body", "body": body, "more_body": True}), WRITE_S)
 
-        async def gone() -> None:
+        async def wait_for_disconnect() -> None:
             while (await receive())["type"] != "http.disconnect":
                 pass
 
         await send({"type": "http.response.start", "status": 200, "headers": self.raw_headers})
         await put(b": from %d\n\n" % self._first)
         following = asyncio.create_task(self._follow(put))
-        leaving = asyncio.create_task(gone())
+        leaving = asyncio.create_task(wait_for_disconnect())
         await asyncio.wait((following, leaving), return_when=asyncio.FIRST_COMPLETED)
         for task in (following, leaving):
             task.cancel()

@@ -96,15 +96,15 @@ def _calls(state: State, supervisor: str | None) -> Iterator[OpenCall]:
             continue
         task = state.task.get(call.subject.task_id)
         ends_us = None if task is None else given_up_us(task, state.fleet)
-        title, why, replies = _asked(state, call)
+        title, why, replies = _question_and_replies(state, call)
         otherwise = "Nothing happens: what waits for the answer goes on waiting"
         otherwise += "." if ends_us is None else f", until task {call.subject.task_id} is given up."
         yield OpenCall(
-            about, call.purpose, call.supervisor, title, why, tuple(_known(state, call)), otherwise, ends_us, replies
+            about, call.purpose, call.supervisor, title, why, tuple(_facts(state, call)), otherwise, ends_us, replies
         )
 
 
-def _asked(state: State, call: SupervisorCalled) -> tuple[str, str, tuple[Reply, ...]]:
+def _question_and_replies(state: State, call: SupervisorCalled) -> tuple[str, str, tuple[Reply, ...]]:
     """Return the question of the call, the rule that caused it, and the replies."""
     about = call.subject.action_id
     executor, capability, requester = _parties(state, about)
@@ -147,7 +147,7 @@ def _rules(state: State, executor: Robot | None, capability: str, task: str) -> 
         yield f"One in {every} admissions by {executor} is reviewed"
 
 
-def _known(state: State, call: SupervisorCalled) -> Iterator[str]:
+def _facts(state: State, call: SupervisorCalled) -> Iterator[str]:
     about = call.subject.action_id
     executor, _, requester = _parties(state, about)
     task = state.task.get(call.subject.task_id)

@@ -102,7 +102,7 @@ class Service:
                 Route("/openapi.json", self._openapi, methods=["GET"]),
                 Route("/overview", self._overview, methods=["GET"]),
                 Route("/view", self._view, methods=["POST"]),
-                Route("/view/{ticket}", self._shown, methods=["GET"]),
+                Route("/view/{ticket}", self._serve_page, methods=["GET"]),
                 *(Route(path, self._file, methods=["GET"]) for path in FILES),
                 Route("/", self._page, methods=["GET"]),
             ],
@@ -139,7 +139,7 @@ class Service:
         return Response(msgspec.json.encode(document) + b"\n", status, headers, "application/json")
 
     def _principal(self, request: Request) -> Principal:
-        principal = self._principals.known(request.headers.get("authorization", ""))
+        principal = self._principals.authenticate(request.headers.get("authorization", ""))
         if principal is None:
             raise HttpError(
                 401,
@@ -230,7 +230,7 @@ class Service:
             while self._server is None or not self._server.should_exit:
                 rows = await self._feed.rows_from(seq, 1.0)
                 seq = rows[-1].seq + 1 if rows else seq
-                if body := b"".join(_said(row, principal, wanted) for row in rows):
+                if body := b"".join(_event_message(row, principal, wanted) for row in rows):
                     await put(body)
                     sent_s = self._ticks()
                 elif self._ticks() - sent_s > ALIVE_S:
@@ -293,7 +293,7 @@ class Service:
             del self._drawn[next(iter(self._drawn))]
         return self._answer({"page": f"view/{ticket}"})
 
-    async def _shown(self, request: Request) -> Response:
+    async def _serve_page(self, request: Request) -> Response:
         content = self._drawn.pop(request.path_params["ticket"], None)
         if content is None:
             raise HttpError(404, "the page was fetched already, or there was none")
@@ -338,7 +338,7 @@ class Service:
             self._server.should_exit = True
 
 
-def _said(row: Row, principal: Principal, wanted: dict[str, str]) -> bytes:
+def _event_message(row: Row, principal: Principal, wanted: dict[str, str]) -> bytes:
     """Return the event as a message to a client; empty if it does not want it or may not see it."""
     message = b"data: %s\nid: %d\n\n" % (row.data, row.seq)
     if principal.kind != "robot" and not wanted:

@@ -14,7 +14,7 @@ from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.change_texts import parsed
 from fsar_ledger.runtime.forks import Fork, fork, parts_at
 from fsar_ledger.runtime.handlers.fleet import LeaveFleet
-from fsar_ledger.runtime.handlers.public import PublicCommand, commands, given, given_in_file, speaker
+from fsar_ledger.runtime.handlers.public import PublicCommand, command_record, commands, given_in_file, speaker
 from fsar_ledger.runtime.recipes import recorded_recipe
 from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import handler_table_of
@@ -38,7 +38,9 @@ def with_commands(record: LedgerRun, *outside: OutsideCommand, more: tuple[str, 
 
 
 def test_a_command_that_a_change_adds_is_decided_as_one_of_the_scenario() -> None:
-    several = [given(one, speaker(one) or FLEET_SUPERVISOR) for _, one in COMMANDS if isinstance(one, PublicCommand)]
+    several = [
+        command_record(one, speaker(one) or FLEET_SUPERVISOR) for _, one in COMMANDS if isinstance(one, PublicCommand)
+    ]
     outside = [(one.command, f"{one.issued_by}", one.parameters) for one in several]
     outside += [(name, by, msgspec.json.encode(fields).decode()) for name, by, fields in REPORTS]
     given_at = [OutsideCommand(1.5 + 1.25 * number, *one) for number, one in enumerate(outside)]

@@ -25,7 +25,7 @@ from fsar_ledger.metrics.invariants import audit_rows, invariants
 from fsar_ledger.metrics.library import Query, library
 from fsar_ledger.runtime import federation
 from fsar_ledger.runtime.federation import Federation
-from fsar_ledger.runtime.snapshot import place
+from fsar_ledger.runtime.snapshot import snapshot_path
 from tests.quick import few
 from tests.runtime.test_live import STEPS, A
 from tests.runtime.test_live_forks_at_random import busy
@@ -126,7 +126,7 @@ def test_a_run_goes_on_from_the_state_of_the_one_before_however_it_is_opened(tmp
     day = Day(tmp_path / "ledger")
     first = day.brings("t", key="k")
     assert day.at(5 * S).one.cut() == "hall.2"
-    place(day.ledger, "hall.2").unlink()  # so that all of it is made again
+    snapshot_path(day.ledger, "hall.2").unlink()  # so that all of it is made again
     for _ in range(2):
         day.again()
         assert day.one.run == "hall.2"
@@ -334,8 +334,8 @@ def test_only_the_newest_run_has_a_snapshot(tmp_path: Path) -> None:
     day = Day(tmp_path / "ledger")
     for hour in range(1, 4):
         day.at(hour * S).one.cut()
-    found = [one for one in place(day.ledger, "").parent.iterdir() if one.suffix != ".lock"]
-    assert found == [place(day.ledger, "hall.4")]
+    found = [one for one in snapshot_path(day.ledger, "").parent.iterdir() if one.suffix != ".lock"]
+    assert found == [snapshot_path(day.ledger, "hall.4")]
 
 
 def test_a_cut_reads_nothing_of_what_was_written_in_years(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

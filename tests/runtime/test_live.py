@@ -43,7 +43,7 @@ from fsar_ledger.runtime.architectures.fsar.reports import (
     ReportStart,
     ReportWindow,
 )
-from fsar_ledger.runtime.handlers.public import PublicCommand, commands, given, read, speaker
+from fsar_ledger.runtime.handlers.public import PublicCommand, command_record, commands, read, speaker
 from fsar_ledger.runtime.handlers.recovery import ReportFailure
 from fsar_ledger.runtime.handlers.request import ReportResult
 from fsar_ledger.runtime.handlers.supervision import RespondToCall
@@ -67,7 +67,7 @@ class Play:
     def give(self, command: PublicCommand, by: str | None = None) -> str | None:
         """Give the command, by who speaks in it unless another is named."""
         self.now_s += 1
-        decision = self.run.give(self.now_s * S, given(command, by or f"{speaker(command)}"))
+        decision = self.run.give(self.now_s * S, command_record(command, by or f"{speaker(command)}"))
         self.run.advance(self.now_s * S + S // 2)
         return decision.rejected
 
@@ -319,7 +319,7 @@ def test_commands_at_random_replay_and_every_kind_of_command_is_read_as_it_was_w
                 SubmitTask(robot=A, task_id=f"t{draw.randrange(9)}", steps=STEPS, budget_us=60 * S),
             )
         )
-        record = given(command, robot, key="k", source_time_us=1)
+        record = command_record(command, robot, key="k", source_time_us=1)
         assert read(commands()[record.command], record.parameters) == command
         play.give(command, robot)
         if draw.random() < 0.1:

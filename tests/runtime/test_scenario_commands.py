@@ -22,7 +22,7 @@ from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.change_texts import parsed
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.forks import fork
-from fsar_ledger.runtime.handlers.public import PublicCommand, commands, given, speaker
+from fsar_ledger.runtime.handlers.public import PublicCommand, command_record, commands, speaker
 from fsar_ledger.runtime.own import problems_of_commands, with_own
 from fsar_ledger.runtime.recipes import recorded_recipe
 from fsar_ledger.runtime.run_replay import replay_run
@@ -188,7 +188,7 @@ def test_what_cannot_be_carried_out_is_rejected_on_record_and_so_is_the_word_of_
 
 def test_every_command_can_be_scheduled_and_such_a_run_replays_in_its_world_and_in_that_of_its_record() -> None:
     several = [
-        (time_us, given(one, speaker(one) or FLEET_SUPERVISOR))
+        (time_us, command_record(one, speaker(one) or FLEET_SUPERVISOR))
         for time_us, one in COMMANDS
         if isinstance(one, PublicCommand)
     ]

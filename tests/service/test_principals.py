@@ -19,14 +19,14 @@ def test_a_token_is_that_of_its_principal_alone(tmp_path: Path) -> None:
     file = tmp_path / "principals"
     one, other = (add_principal(file, name) for name in ("robot/A1", "supervisor/maria"))
     known = Principals(file)
-    found = [known.known(f"Bearer {token}") for token in (one, other)]
+    found = [known.authenticate(f"Bearer {token}") for token in (one, other)]
     assert [principal.principal for principal in found if principal is not None] == ["robot/A1", "supervisor/maria"]
-    assert known.known(f"bearer {one}") == found[0]
+    assert known.authenticate(f"bearer {one}") == found[0]
     mixed = ".".join((*one.split(".")[:2], other.split(".")[2]))
     for wrong in (mixed, one[:-1], one + "x", f"x{one}", one.upper(), "", "fsar..", "fsar.\udcff.\udcff"):
-        assert known.known(f"Bearer {wrong}") is None
-    assert known.known(f"Basic {one}") is None
-    assert known.known(one) is None
+        assert known.authenticate(f"Bearer {wrong}") is None
+    assert known.authenticate(f"Basic {one}") is None
+    assert known.authenticate(one) is None
 
 
 def test_the_file_holds_no_secret_and_is_its_owners(tmp_path: Path) -> None:
@@ -40,12 +40,12 @@ def test_a_line_that_is_taken_out_is_a_token_that_is_void_at_once(tmp_path: Path
     file = tmp_path / "principals"
     old, new = (add_principal(file, "robot/A1") for _ in range(2))
     known = Principals(file)
-    assert known.known(f"Bearer {old}")
+    assert known.authenticate(f"Bearer {old}")
     before = file.stat()
     file.write_bytes(b"".join(file.read_bytes().splitlines(keepends=True)[1:]))
     os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))  # as a copy that keeps the times does
-    assert known.known(f"Bearer {old}") is None
-    assert known.known(f"Bearer {new}")
+    assert known.authenticate(f"Bearer {old}") is None
+    assert known.authenticate(f"Bearer {new}")
 
 
 def test_the_secret_is_compared_in_constant_time_for_unknown_tokens_too(
@@ -60,7 +60,7 @@ def test_the_secret_is_compared_in_constant_time_for_unknown_tokens_too(
 
     monkeypatch.setattr(hmac, "compare_digest", compare)
     for token in ("fsar.unknown.x", "nothing", ""):
-        known.known(f"Bearer {token}")
+        known.authenticate(f"Bearer {token}")
     assert len(compared) == 3
 
 

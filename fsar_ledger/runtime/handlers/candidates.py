@@ -189,7 +189,7 @@ def candidates(state: State, query: Query, cache_holder: Robot | None = None) ->
     answering = ""
     for domain, level, but in enclosing(read, state.registry.members[query.requester][1]):
         answering = domain
-        search.ask(level, but)
+        search.search_registry(level, but)
         if search.found:
             break
     left_out, ranked = search.left_out, search.ranked()[: query.limit]
@@ -219,7 +219,7 @@ class _Search:
         self._query = query
         self._execution = execution
 
-    def ask(self, level: Offers, but: str | None) -> None:
+    def search_registry(self, level: Offers, but: str | None) -> None:
         """Sort the matches of one registry (except those below `but`) into found and left out."""
         query = self._query
         if query.limit is None and not query.capability.endswith(_GROUP):

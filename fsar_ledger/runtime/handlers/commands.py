@@ -331,7 +331,7 @@ def target(state: State, command: ActionCommand) -> Robot | None:
     return None if request is None else request.target or request.requester
 
 
-def asked(state: State, command: ActionCommand) -> Robot | None:
+def asked_robot(state: State, command: ActionCommand) -> Robot | None:
     """Return the robot that the request goes to."""
     request = state.request.open.get(command.action_id)
     return request.candidates[0] if request is not None and request.candidates else None

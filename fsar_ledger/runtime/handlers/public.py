@@ -230,7 +230,7 @@ def reject_word(_state: State, command: RejectWord) -> tuple[Event, ...]:
     )
 
 
-def given(command: PublicCommand, issued_by: str, **about: object) -> CommandGiven:
+def command_record(command: PublicCommand, issued_by: str, **about: object) -> CommandGiven:
     """Return the record of a command that was given; `about` are its other columns."""
     fields = {name: getattr(command, name) for name in own_fields(type(command))}
     fields = {name: value for name, value in fields.items() if value is not None or name not in _ADDED}
@@ -285,7 +285,7 @@ def given_in_file(command: str, by: str, parameters: str) -> CommandGiven:
     """Return the record of a command that a scenario's file gives. Raises: KeyError, msgspec.MsgspecError for none."""
     kind = commands()[command]
     fields = with_nulls(kind, msgspec.json.decode(parameters, type=dict[str, object]))
-    return given(read(kind, msgspec.json.encode(fields).decode()), by)
+    return command_record(read(kind, msgspec.json.encode(fields).decode()), by)
 
 
 @cache

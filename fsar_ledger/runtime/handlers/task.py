@@ -327,11 +327,11 @@ def _on_abandoned(state: State, event: TaskAbandoned, _now_us: int) -> tuple[Sch
         action.robot: action.requested_by or action.on_behalf_of
         for action in _waiting(state.execution, state.request, event.task_id)
     }
-    notices = (_told(event.task_id, robot, sender) for robot, sender in senders.items())
+    notices = (_scheduled_withdrawal(event.task_id, robot, sender) for robot, sender in senders.items())
     return (Scheduled(EndClaims(event.task_id)), *notices)
 
 
-def _told(task_id: str, robot: Robot, sender: str) -> Scheduled:
+def _scheduled_withdrawal(task_id: str, robot: Robot, sender: str) -> Scheduled:
     if sender == robot:
         return Scheduled(WithdrawTask(task_id, robot))
     return Scheduled(WithdrawTask(task_id, robot), 0, (message(sender, task_id, f"given up/{robot}"),))

@@ -33,7 +33,9 @@ class Problem(NamedTuple):
 
 def problems_of_fleet(fleet: Fleet) -> Iterator[Problem]:
     """Yield the problems of the fleet by itself, in the order of its fields."""
-    yield from _named(("name",), fleet.name, _NAME, "a name of lowercase letters, digits and -, such as ward-night")
+    yield from _malformed_name(
+        ("name",), fleet.name, _NAME, "a name of lowercase letters, digits and -, such as ward-night"
+    )
     robots, capabilities = (
         [entry.name for entry in fleet.robots],
         [capability.name for capability in fleet.capabilities],
@@ -42,33 +44,39 @@ def problems_of_fleet(fleet: Fleet) -> Iterator[Problem]:
         yield Problem(("robots",), "none", "at least one robot")
     for index, robot in enumerate(fleet.robots):
         prefix: Field = ("robots", index)
-        yield from _named((*prefix, "name"), robot.name, _ROBOT, "letters, digits, - and _, with a letter at both ends")
+        yield from _malformed_name(
+            (*prefix, "name"), robot.name, _ROBOT, "letters, digits, - and _, with a letter at both ends"
+        )
         yield from _first((*prefix, "name"), robot.name, robots[:index], "another robot of this name")
         if robot.role is not None:
-            yield from _named((*prefix, "role"), robot.role, _ROLE, "letters, digits, - and _, a letter first")
+            yield from _malformed_name((*prefix, "role"), robot.role, _ROLE, "letters, digits, - and _, a letter first")
         if robot.supervisor is not None:
             field: Field = (*prefix, "supervisor")
-            yield from _named(
+            yield from _malformed_name(
                 field, robot.supervisor, _NAME, "a name of lowercase letters, digits and -, such as maria"
             )
             if not robot.has_supervisor or robot.supervisor == "fleet":
                 yield Problem(field, printable.value(robot.supervisor), "none: the fleet supervisor is in charge")
         path = "a path of names with / between, such as ward/night, or nothing for the fleet's own registry"
-        yield from _named((*prefix, "domain"), robot.domain, _DOMAIN, path)
+        yield from _malformed_name((*prefix, "domain"), robot.domain, _DOMAIN, path)
         yield from _each((*prefix, "capabilities"), robot.capabilities, capabilities, "the capabilities of the fleet")
     yield from _problems_of_capabilities(fleet, capabilities)
     yield from _each(("bodies",), fleet.bodies, fleet.roles, "the roles of the fleet")
     for index, substitute in enumerate(fleet.substitutes):
-        yield from _known(("substitutes", index, "of"), substitute.of, capabilities, "the capabilities of the fleet")
-        yield from _known(("substitutes", index, "by"), substitute.by, capabilities, "the capabilities of the fleet")
+        yield from _unknown_name(
+            ("substitutes", index, "of"), substitute.of, capabilities, "the capabilities of the fleet"
+        )
+        yield from _unknown_name(
+            ("substitutes", index, "by"), substitute.by, capabilities, "the capabilities of the fleet"
+        )
         earlier = [entry.of for entry in fleet.substitutes[:index]]
         yield from _first(("substitutes", index, "of"), substitute.of, earlier, "another substitute for it")
     yield from _problems_of_trust(fleet)
     for index, policy in enumerate(fleet.policies):
-        yield from _known(("policies", index, "role"), policy.role, fleet.roles, "the roles of the fleet")
+        yield from _unknown_name(("policies", index, "role"), policy.role, fleet.roles, "the roles of the fleet")
         if policy.capability is not None:
             field = ("policies", index, "capability")
-            yield from _known(field, policy.capability, capabilities, "the capabilities of the fleet")
+            yield from _unknown_name(field, policy.capability, capabilities, "the capabilities of the fleet")
         yield from _within(("policies", index, "domain"), policy.domain, fleet)
         if _key(policy) in map(_key, fleet.policies[:index]):
             found = f"a second {policy.scope} rule of {policy.role} for {policy.capability or 'every capability'}"
@@ -86,11 +94,15 @@ def _problems_of_capabilities(fleet: Fleet, names: Sequence[str]) -> Iterator[Pr
     lengths = dict(DURATIONS)
     for index, capability in enumerate(fleet.capabilities):
         prefix: Field = ("capabilities", index)
-        yield from _named((*prefix, "name"), capability.name, _CAPABILITY, "a name with a dot in it, such as door.open")
+        yield from _malformed_name(
+            (*prefix, "name"), capability.name, _CAPABILITY, "a name with a dot in it, such as door.open"
+        )
         yield from _first((*prefix, "name"), capability.name, names[:index], "another capability of this name")
         for number, condition in enumerate(capability.postconditions):
             field = (*prefix, "postconditions", number)
-            yield from _named(field, condition, _CONDITION, "a condition in lowercase letters, such as load.held")
+            yield from _malformed_name(
+                field, condition, _CONDITION, "a condition in lowercase letters, such as load.held"
+            )
             yield from _first(field, condition, capability.postconditions[:number], "the same condition")
         yield from _each((*prefix, "visible_to"), capability.visible_to, fleet.roles, "the roles of the fleet")
         if capability.lasts_s is None:
@@ -107,8 +119,8 @@ def _problems_of_trust(fleet: Fleet) -> Iterator[Problem]:
     seen: set[tuple[str, str, str]] = set()
     for index, trust in enumerate(fleet.trust):
         prefix: Field = ("trust", index)
-        yield from _known((*prefix, "role"), trust.role, fleet.roles, "the roles of the fleet")
-        yield from _known((*prefix, "peer_role"), trust.peer_role, fleet.roles, "the roles of the fleet")
+        yield from _unknown_name((*prefix, "role"), trust.role, fleet.roles, "the roles of the fleet")
+        yield from _unknown_name((*prefix, "peer_role"), trust.peer_role, fleet.roles, "the roles of the fleet")
         yield from _within((*prefix, "domain"), trust.domain, fleet)
         pairs = {(trust.role, trust.peer_role, trust.domain)}
         if trust.is_mutual:
@@ -127,7 +139,7 @@ def _problems_of_spending(fleet: Fleet) -> Iterator[Problem]:
     for index, density in enumerate(fleet.density):
         prefix: Field = ("density", index)
         if density.role is not None:
-            yield from _known((*prefix, "role"), density.role, fleet.roles, "the roles of the fleet")
+            yield from _unknown_name((*prefix, "role"), density.role, fleet.roles, "the roles of the fleet")
         if density.role in [earlier.role for earlier in fleet.density[:index]]:
             yield Problem(prefix, f"a second density of {density.role or 'every role'}", "each once")
         if density.review_every < 0:
@@ -135,7 +147,7 @@ def _problems_of_spending(fleet: Fleet) -> Iterator[Problem]:
     for index, budget in enumerate(fleet.budgets):
         prefix = ("budgets", index)
         if budget.role is not None:
-            yield from _known((*prefix, "role"), budget.role, fleet.roles, "the roles of the fleet")
+            yield from _unknown_name((*prefix, "role"), budget.role, fleet.roles, "the roles of the fleet")
         if (budget.role, budget.level) in [(earlier.role, earlier.level) for earlier in fleet.budgets[:index]]:
             yield Problem(
                 prefix, f"a second budget of {budget.role or 'every role'} at level {budget.level}", "each once"
@@ -176,19 +188,23 @@ def problems_of_design(design: Scenario | Workflow, fleet: Fleet) -> Iterator[Pr
 
 def problems_of_scenario(scenario: Scenario, fleet: Fleet) -> Iterator[Problem]:
     """Yield the problems of the scenario, by itself or for this fleet, in the order of its fields."""
-    yield from _named(("name",), scenario.name, _NAME, "a name of lowercase letters, digits and -, such as night-shift")
+    yield from _malformed_name(
+        ("name",), scenario.name, _NAME, "a name of lowercase letters, digits and -, such as night-shift"
+    )
     if scenario.name.startswith("workflow-"):
         yield Problem(("name",), printable.value(scenario.name), "a name that does not begin like those of workflows")
     robots = {robot.name: robot for robot in fleet.robots}
     yield from _problems_of_tasks(scenario.tasks, robots, fleet)
     for index, injection in enumerate(scenario.injections):
         prefix: Field = ("injections", index)
-        yield from _known((*prefix, "requester"), injection.requester, robots, f"the robots of fleet {fleet.name}")
-        yield from _known((*prefix, "target"), injection.target, robots, f"the robots of fleet {fleet.name}")
+        yield from _unknown_name(
+            (*prefix, "requester"), injection.requester, robots, f"the robots of fleet {fleet.name}"
+        )
+        yield from _unknown_name((*prefix, "target"), injection.target, robots, f"the robots of fleet {fleet.name}")
         if injection.requester in robots and injection.target in robots:
             requester, target = robots[injection.requester], robots[injection.target]
             expected_from = f"the capabilities of {target.name}"
-            yield from _known((*prefix, "capability"), injection.capability, target.capabilities, expected_from)
+            yield from _unknown_name((*prefix, "capability"), injection.capability, target.capabilities, expected_from)
             if requester is target or _trusts(fleet, target, requester):
                 expected = "two robots of which the target's role does not trust the requester's"
                 yield Problem((*prefix, "requester"), f"{requester.name}, whom {target.name} trusts", expected)
@@ -206,7 +222,7 @@ def problems_of_workflow(workflow: Workflow, fleet: Fleet) -> Iterator[Problem]:
     robots = {robot.name: robot for robot in fleet.robots}
     yield from _problems_of_tasks(workflow.tasks, robots, fleet)
     for index, wear in enumerate(workflow.wear):
-        yield from _known(("wear", index, "robot"), wear.robot, robots, f"the robots of fleet {fleet.name}")
+        yield from _unknown_name(("wear", index, "robot"), wear.robot, robots, f"the robots of fleet {fleet.name}")
 
 
 def _problems_of_tasks(tasks: Sequence[Task], robots: dict[str, Robot], fleet: Fleet) -> Iterator[Problem]:
@@ -214,7 +230,7 @@ def _problems_of_tasks(tasks: Sequence[Task], robots: dict[str, Robot], fleet: F
         yield Problem(("tasks",), "none", "at least one task")
     for index, task in enumerate(tasks):
         prefix: Field = ("tasks", index)
-        yield from _known((*prefix, "owner"), task.owner, robots, f"the robots of fleet {fleet.name}")
+        yield from _unknown_name((*prefix, "owner"), task.owner, robots, f"the robots of fleet {fleet.name}")
         if not (isfinite(task.offset_s) and 0 <= task.offset_s <= END_US / 1e6):
             yield Problem((*prefix, "offset_s"), printable.number(task.offset_s), f"seconds from 0 to {END_US / 1e6:g}")
         if not task.steps:
@@ -233,13 +249,13 @@ def _problems_of_step(field: Field, step: str, robots: dict[str, Robot], fleet: 
         )
         return
     actor, capability, *target = words
-    yield from _known(field, actor, robots, f"the robots of fleet {fleet.name}")
+    yield from _unknown_name(field, actor, robots, f"the robots of fleet {fleet.name}")
     names = [entry.name for entry in fleet.capabilities]
-    yield from _known(field, capability, names, "the capabilities of the fleet")
+    yield from _unknown_name(field, capability, names, "the capabilities of the fleet")
     for doer in target or [actor]:
         if doer not in robots:
             if target:
-                yield from _known(field, doer, robots, f"the robots of fleet {fleet.name}")
+                yield from _unknown_name(field, doer, robots, f"the robots of fleet {fleet.name}")
         elif capability in names and capability not in robots[doer].capabilities:
             capable = [name for name, robot in robots.items() if capability in robot.capabilities and name != actor]
             hint = f", or {actor} {capability} {capable[0]} to delegate it" if capable and not target else ""
@@ -264,10 +280,10 @@ def _trusts(fleet: Fleet, robot: Robot, peer: Robot) -> bool:
 def _within(field: Field, domain: str, fleet: Fleet) -> Iterator[Problem]:
     if not any(is_within(robot.domain, domain) for robot in fleet.robots):
         domains = tuple(dict.fromkeys(robot.domain for robot in fleet.robots if robot.domain))
-        yield from _known(field, domain, domains, "the domains of the fleet's robots, or one around them")
+        yield from _unknown_name(field, domain, domains, "the domains of the fleet's robots, or one around them")
 
 
-def _named(field: Field, name: str, pattern: re.Pattern[str], expected: str) -> Iterator[Problem]:
+def _malformed_name(field: Field, name: str, pattern: re.Pattern[str], expected: str) -> Iterator[Problem]:
     if not pattern.fullmatch(name):
         yield Problem(field, printable.value(name), expected)
 
@@ -279,11 +295,11 @@ def _first(field: Field, name: str, earlier: Sequence[str], found: str) -> Itera
 
 def _each(field: Field, names: Sequence[str], known: Collection[str], what: str) -> Iterator[Problem]:
     for index, name in enumerate(names):
-        yield from _known((*field, index), name, known, what)
+        yield from _unknown_name((*field, index), name, known, what)
         yield from _first((*field, index), name, names[:index], "it twice")
 
 
-def _known(field: Field, name: str, known: Collection[str], what: str) -> Iterator[Problem]:
+def _unknown_name(field: Field, name: str, known: Collection[str], what: str) -> Iterator[Problem]:
     if name not in known:
         hint = printable.did_you_mean(name, known)
         yield Problem(field, printable.value(name), f"one of {what} ({', '.join(known) or 'none'}){hint}")

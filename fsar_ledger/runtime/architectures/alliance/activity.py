@@ -163,15 +163,15 @@ def acquiesce(state: State, command: Acquiesce) -> tuple[Event, ...]:
     if elapsed_us > dials.yield_us and is_heard:
         # That teammate may have left as well; then the failure is not over until another robot takes the action up.
         others = (activity for other, activity in state.motivation.active.items() if other != robot)
-        return left(state, action, is_taken=any(activity.action_id == action_id for activity in others))
+        return leave_action(state, action, is_taken=any(activity.action_id == action_id for activity in others))
     if elapsed_us > dials.give_up_us:
-        return left(state, action, is_taken=False)
+        return leave_action(state, action, is_taken=False)
     if not has_begun and request is not None and not is_applicable(state, robot, request):
-        return left(state, action, is_taken=False)
+        return leave_action(state, action, is_taken=False)
     return ()
 
 
-def left(state: State, action: Action, *, is_taken: bool) -> tuple[Event, ...]:
+def leave_action(state: State, action: Action, *, is_taken: bool) -> tuple[Event, ...]:
     """Return the events of leaving the action; `is_taken`: a teammate is active on it, so its failure is over."""
     robot, recovery, records = action.robot, state.recovery.get(action.action_id), list[Event]()
     if recovery is not None and recovery.level == "local" and action.is_delegated:
@@ -200,7 +200,7 @@ def end_activity(state: State, command: EndActivity) -> tuple[Event, ...]:
 def hear_done(state: State, command: HearDone) -> tuple[Event, ...]:
     """Stop the robot's work on the action, and forget the need."""
     action = in_hand_of(state, command.robot, command.action_id)
-    stopped = () if action is None else left(state, action, is_taken=True)
+    stopped = () if action is None else leave_action(state, action, is_taken=True)
     return (*stopped, *_need_ended(state, command, command.peer))
 
 

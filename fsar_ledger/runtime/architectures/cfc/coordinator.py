@@ -126,19 +126,19 @@ def sync(state: State, _command: Sync) -> tuple[CopySynced, ...]:
     local = {robot: in_force(state.world.local, robot) for robot in state.world.local}
     fleet = {robot: in_force(state.world.fleet, robot) for robot in state.world.fleet}
 
-    def shown(before: tuple[Robot, ...], now: list[Robot]) -> tuple[Robot, ...]:
+    def merge_silent(before: tuple[Robot, ...], now: list[Robot]) -> tuple[Robot, ...]:
         return (
             tuple(robot for robot in robots if robot in (before if robot in silent else now)) if silent else tuple(now)
         )
 
     return (
         CopySynced(
-            local_deny=shown(copy.local_deny, [robot for robot in robots if local.get(robot) == "deny"]),
-            local_review=shown(copy.local_review, [robot for robot in robots if local.get(robot) == "review"]),
-            fleet_deny=shown(copy.fleet_deny, [robot for robot in robots if fleet.get(robot) == "deny"]),
-            fleet_review=shown(copy.fleet_review, [robot for robot in robots if fleet.get(robot) == "review"]),
-            busy=shown(copy.busy, [robot for robot in robots if not is_idle(state.execution, robot)]),
-            degraded=shown(copy.degraded, [robot for robot in robots if robot in state.world.degraded]),
+            local_deny=merge_silent(copy.local_deny, [robot for robot in robots if local.get(robot) == "deny"]),
+            local_review=merge_silent(copy.local_review, [robot for robot in robots if local.get(robot) == "review"]),
+            fleet_deny=merge_silent(copy.fleet_deny, [robot for robot in robots if fleet.get(robot) == "deny"]),
+            fleet_review=merge_silent(copy.fleet_review, [robot for robot in robots if fleet.get(robot) == "review"]),
+            busy=merge_silent(copy.busy, [robot for robot in robots if not is_idle(state.execution, robot)]),
+            degraded=merge_silent(copy.degraded, [robot for robot in robots if robot in state.world.degraded]),
         ),
     )
 

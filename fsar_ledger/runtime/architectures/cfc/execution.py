@@ -102,7 +102,7 @@ class EndWatch(Command):
 def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
     """Let the robot claim override over its actions, and both supervisors claim supervision where a window opened."""
     claimed: list[Event] = []
-    for action_id in _held(state.authority, state.request, command.robot):
+    for action_id in _claimed_actions(state.authority, state.request, command.robot):
         task_id = state.request.open[action_id].task_id
         claims: list[tuple[Dimension, Principal, str]] = [("override", command.robot, "safe stop")]
         if command.window is not None:
@@ -118,7 +118,7 @@ def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
     return tuple(claimed)
 
 
-def _held(authority: Authority, requests: Requests, robot: Robot) -> list[str]:
+def _claimed_actions(authority: Authority, requests: Requests, robot: Robot) -> list[str]:
     """Return the robot's actions whose execution the coordinator claims."""
     action_ids = []
     for action_id, claims in authority.claims.items():
@@ -151,7 +151,7 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
 @HANDLERS.react(ContextChanged)
 def _on_context(state: State, event: ContextChanged, now_us: int) -> tuple[Scheduled, ...]:
     paused = pause_running(state, event, now_us)
-    if not _held(state.authority, state.request, event.robot):
+    if not _claimed_actions(state.authority, state.request, event.robot):
         return paused
     return (*paused, Scheduled(SafeStop(event.robot, event.window)))
 

@@ -120,7 +120,7 @@ def take_turn(state: State, _command: TakeTurn, action: Action) -> tuple[Event, 
         for claim in state.authority.claims.get(action.action_id, ())
     ):
         return (approach,)
-    parties, fence = _named(state, action), state.fleet.fences.get(robot)
+    parties, fence = _own_parties(state, action), state.fleet.fences.get(robot)
     return (
         RequestAccepted(RequestSubject(action.task_id, action.action_id, action.action_id), parties.decided(robot)),
         AuthorityClaimed(
@@ -133,7 +133,7 @@ def take_turn(state: State, _command: TakeTurn, action: Action) -> tuple[Event, 
     )
 
 
-def _named(state: State, action: Action) -> Parties:
+def _own_parties(state: State, action: Action) -> Parties:
     """Return the parties of the robot's own record of the action."""
     return recorded_by(state, action.robot, requested_by=action.requested_by, executed_by=action.robot)
 
@@ -162,14 +162,14 @@ def start_under(
         if reviewer is not None:
             return _put_before(state, action, reviewer, "local-policy" if local == "review" else "fleet-rule")
     if rule == "deny" and local == "review" and _reviewer(state, action, local, "allow") is not None:
-        return (_held(state, action, rule, "fleet-rule", None),)  # reviewed once the fleet's denial is over
+        return (_hold_event(state, action, rule, "fleet-rule", None),)  # reviewed once the fleet's denial is over
     if local != "allow":
         # See docs/decisions/denials-are-decided-once.md.
         decided_by = None if action.is_delegated or action.was_denied else action.robot
         clash = conflict(state, action.task_id, action.action_id, action.on_behalf_of, action.robot, action.capability)
-        return (*clash, _held(state, action, local, "local-policy", decided_by))
+        return (*clash, _hold_event(state, action, local, "local-policy", decided_by))
     if rule != "allow":
-        return (_held(state, action, rule, "fleet-rule", None),)
+        return (_hold_event(state, action, rule, "fleet-rule", None),)
     return (started(state, action, command),)
 
 
@@ -187,7 +187,7 @@ def refuse_held(state: State, _command: RefuseHeld, action: Action) -> tuple[Eve
     if action.stage not in ("held", "polling"):
         return ()
     robot, subject = action.robot, RequestSubject(action.task_id, action.action_id, action.action_id)
-    parties = _named(state, action)
+    parties = _own_parties(state, action)
     return (
         *release(state.authority, action.action_id),
         ExecutionWithdrawn(action.subject, robot),
@@ -214,10 +214,10 @@ def _put_before(state: State, action: Action, reviewer: Supervisor, reason: str)
     if is_asked(state.supervision, action.action_id, "review"):
         return ()
     call = SupervisorCalled(subject=action.subject, supervisor=reviewer, purpose="review", robot=action.robot)
-    return (_held(state, action, "review", reason, None), call)
+    return (_hold_event(state, action, "review", reason, None), call)
 
 
-def _held(
+def _hold_event(
     state: State, action: Action, outcome: PolicyOutcome, reason: str, decided_by: Principal | None
 ) -> ExecutionHeld:
     principals = Principals(

@@ -201,7 +201,7 @@ def _first(
             silent[candidate.robot] = silent.get(candidate.robot, False) or candidate.left_out_by is None
             passed = 1
         else:
-            passed = _passed(state, action, asking, candidate, carried)
+            passed = _passed_checks(state, action, asking, candidate, carried)
         if passed == _ALL:
             return HelperChoice(candidate.robot, "", tuple([robot for robot, is_fit in silent.items() if is_fit]))
         furthest = max(furthest, passed)
@@ -209,7 +209,9 @@ def _first(
     return HelperChoice(None, reasons[furthest], tuple(silent))
 
 
-def _passed(state: State, action: Action, asking: Robot, candidate: Candidate, carried: PolicyOutcome | None) -> int:
+def _passed_checks(
+    state: State, action: Action, asking: Robot, candidate: Candidate, carried: PolicyOutcome | None
+) -> int:
     """Return how many checks a candidate that answers passes, in the order of the reasons in `_first`."""
     if candidate.left_out_by == "trust":
         return 2

@@ -40,7 +40,7 @@ from fsar_ledger.runtime.handlers.commands import (
     CompleteStep,
     Handlers,
     Scheduled,
-    asked,
+    asked_robot,
     at_once,
     begin_again,
     message,
@@ -110,7 +110,7 @@ def relay_request(state: State, _command: RelayRequest, request: Request) -> tup
     return (RequestRelayed(subject, principals, carried),)
 
 
-@HANDLERS.decide(EvaluateRequest, asked)
+@HANDLERS.decide(EvaluateRequest, asked_robot)
 def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...]:
     """Admit, counter or deny the request at the executor, or ask H_F for review. Paper: eq:admissible, phase 4."""
     request = state.request.open.get(command.action_id)
@@ -125,7 +125,7 @@ def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...
     return _judged(state, request, evaluate(state, request, request.candidates[0]), command.now_us)
 
 
-@HANDLERS.decide_on(open_request, AdmitReviewed, asked)
+@HANDLERS.decide_on(open_request, AdmitReviewed, asked_robot)
 def admit_reviewed(state: State, command: AdmitReviewed, request: Request) -> tuple[Event, ...]:
     """Admit the approved request if all but policy still holds, or deny one that was not approved."""
     if not _is_open(state.execution, state.task, request):

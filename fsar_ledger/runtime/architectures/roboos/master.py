@@ -114,7 +114,7 @@ def is_shown_idle(state: State, robot: Robot, now_us: int) -> bool:
     return is_stored(state, robot, now_us) and entry(state, robot).availability == "ready"
 
 
-def written(state: State, robot: Robot, availability: Availability, now_us: int) -> tuple[StoreEntryWritten, ...]:
+def entry_written(state: State, robot: Robot, availability: Availability, now_us: int) -> tuple[StoreEntryWritten, ...]:
     """Return what the master writes into the robot's entry: nothing if it has expired."""
     if not is_stored(state, robot, now_us):
         return ()
@@ -272,7 +272,7 @@ def send_subtask(state: State, command: SendSubtask, request: Request) -> tuple[
             robot=robot,
             seen_busy=entry(state, robot).availability == "busy",
         ),
-        *written(state, robot, "busy", command.now_us),
+        *entry_written(state, robot, "busy", command.now_us),
         AuthorityClaimed(subject=request.subject, dimension="execution", claimant=COORDINATOR, reason="dispatch"),
         AuthorityClaimed(subject=request.subject, dimension="override", claimant=COORDINATOR, reason="dispatch"),
     )
@@ -282,7 +282,7 @@ def send_subtask(state: State, command: SendSubtask, request: Request) -> tuple[
 def take_result(state: State, command: TakeResult) -> tuple[Event, ...]:
     """Write `idle`, whatever the result; continue after a success, and give up the task after anything else."""
     events = (
-        *written(state, command.robot, "ready", command.now_us),
+        *entry_written(state, command.robot, "ready", command.now_us),
         *release(state.authority, command.action_id),
     )
     request = open_request(state, command.action_id)
