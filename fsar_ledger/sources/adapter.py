@@ -323,7 +323,7 @@ def objects(inputs: Iterable[Input]) -> Iterator[tuple[bytes, dict[str, Any]] | 
         yield (line, data) if isinstance(data, dict) else unreadable(line, f"found {line[:40]!r}, expected an object")
 
 
-def known(
+def require_format(
     found: Iterable[One], inputs: Sequence[Input], is_known: Callable[[One], bool], expected: str
 ) -> Iterator[One]:
     """Yield everything found, but nothing before one item is known to be of the format.
@@ -360,7 +360,7 @@ def utc_us(text: object) -> int | None:
         return None
 
 
-def shown(found: object) -> str:
+def json_text(found: object) -> str:
     """Return a value of JSON as text: a string as it is."""
     if isinstance(found, str):
         return found

@@ -64,7 +64,7 @@ def event_of(tag: object, columns: Mapping[str, Any]) -> Event:
     if layout is None or tag not in (kind, layout.tag):
         hint = did_you_mean(kind, [*LAYOUT_OF, *BY_ITSELF]) if layout is None else f", {kind} or {layout.tag}"
         by_itself = " that is not said of its own accord" if kind in BY_ITSELF else hint
-        raise UsageError(f"field type: found {shown(tag)}, expected an event type{by_itself}")
+        raise UsageError(f"field type: found {value_text(tag)}, expected an event type{by_itself}")
     known = {field.name: field for field in layout.fields}
     if unknown := sorted(columns.keys() - known.keys()):
         raise UsageError(
@@ -83,7 +83,9 @@ def event_of(tag: object, columns: Mapping[str, Any]) -> Event:
     event = laid_out(layout, columns)
     for first, second in ALIGNED if isinstance(event, Observed) else ():
         if len(getattr(event, first)) != len(getattr(event, second)):
-            raise UsageError(f"field {second}: found {shown(columns.get(second))}, expected one for each of `{first}`")
+            raise UsageError(
+                f"field {second}: found {value_text(columns.get(second))}, expected one for each of `{first}`"
+            )
     return event
 
 
@@ -151,7 +153,7 @@ def _flaw(layout: StoredType, message: str) -> str:
     return f"field {name}: {text}" if name else f"{kind}: {text}"
 
 
-def shown(found: object) -> str:
+def value_text(found: object) -> str:
     """Format a value for a message."""
     return value(found if isinstance(found, str) else msgspec.json.encode(found).decode())
 
@@ -199,7 +201,7 @@ def tell(
     try:
         for number, line in numbered_lines(file):
             try:
-                event, time, caused_by = told(line.removeprefix(BOM) if number == 1 else line)
+                event, time, caused_by = parse_line(line.removeprefix(BOM) if number == 1 else line)
                 _record(recorder, event, time, caused_by)
                 events += 1
             except (UsageError, InvalidRun) as error:
@@ -260,7 +262,7 @@ def _require_once(pairs: list[tuple[str, object]]) -> None:
         raise UsageError(f"field {value(twice)}: found it more than once, expected it once")
 
 
-def told(line: bytes) -> tuple[Event, datetime | None, int | None]:
+def parse_line(line: bytes) -> tuple[Event, datetime | None, int | None]:
     """Return the event of a line, its time and its cause; None where the line has none.
 
     Raises: UsageError for an invalid line; it names the field.
@@ -279,12 +281,14 @@ def _when(text: object) -> datetime | None:
             raise ValueError("no text")
         return utc.parsed(text).astimezone(UTC)
     except (ValueError, OverflowError) as error:
-        raise UsageError(f"field time: found {shown(text)}, expected a time such as 2026-03-01T10:00:00Z") from error
+        raise UsageError(
+            f"field time: found {value_text(text)}, expected a time such as 2026-03-01T10:00:00Z"
+        ) from error
 
 
 def _cause(number: object) -> int | None:
     if number is not None and type(number) is not int:
-        raise UsageError(f"field caused_by: found {shown(number)}, expected the number of an earlier event")
+        raise UsageError(f"field caused_by: found {value_text(number)}, expected the number of an earlier event")
     return number
 
 

@@ -314,7 +314,7 @@ class _Import:
             self.late_us = max(self.late_us, late_us)
 
     def _observed(self, record: Record) -> Observed:
-        record_us = _told(record.source_us)
+        record_us = _storable_time_us(record.source_us)
         source_us = None if record_us is None or self.epoch_us is None else record_us - self.epoch_us
         values, objects = record.values, record.objects
         if record.kind == UNREADABLE:
@@ -344,8 +344,8 @@ class _Import:
         first, second = record.arrival_us, record.source_us
         if self.adapter.clock == "source":
             first, second = second, first
-        first_us = _told(first)
-        return first_us if first_us is not None else _told(second)
+        first_us = _storable_time_us(first)
+        return first_us if first_us is not None else _storable_time_us(second)
 
     def _put(self, time_us: int, caused_by: int | None, event: Event | None) -> int:
         """Add an event to the next commit, unless it is on file; return its number within the run."""
@@ -395,6 +395,6 @@ class _Stream(io.RawIOBase):
         return len(data)
 
 
-def _told(time_us: int | None) -> int | None:
+def _storable_time_us(time_us: int | None) -> int | None:
     """Return the time; None if it is so far from 1970 that a run could not hold its distance from another."""
     return time_us if time_us is not None and abs(time_us) <= FARTHEST_US else None

@@ -32,7 +32,7 @@ from fsar_ledger.base.printable import did_you_mean, value
 from fsar_ledger.designs.registered import Field, at_line, decoded
 from fsar_ledger.events import CONCERN_OF
 
-from .adapter import Derived, Input, Record, known, objects, shown, utc_us
+from .adapter import Derived, Input, Record, json_text, objects, require_format, utc_us
 from .columns import LAYOUT_OF, OUTCOMES, declared, laid_out
 
 _IN_TEXT = re.compile(r"\{(/[^{}]*)\}")
@@ -88,23 +88,23 @@ class Mapped:
         """Yield every line. Raises: UsageError if none of the first holds a JSON object."""
         files = list(inputs)
         records = (item if isinstance(item, Record) else self._record(*item) for item in objects(files))
-        return known(records, files, lambda item: item.data is not None, "one JSON object a line")
+        return require_format(records, files, lambda item: item.data is not None, "one JSON object a line")
 
     def _record(self, raw: bytes, data: dict[str, Any]) -> Record:
         mapping = self._mapping
         kind = _filled(mapping.kind, data)
         about: dict[str, str] = {}
         for pointer, part in mapping.objects.items():
-            if (item := _at(pointer, data)) is not _MISSING and item is not None:
-                name = shown(item)
+            if (item := _value_at(pointer, data)) is not _MISSING and item is not None:
+                name = json_text(item)
                 about[name] = f"{about[name]}, {part}" if name in about else part
-        values = {name: shown(item) for name, item in data.items()}
+        values = {name: json_text(item) for name, item in data.items()}
         source_us, arrival_us = (
-            None if pointer is None else _time_us(_at(pointer, data), mapping.unit)
+            None if pointer is None else _time_us(_value_at(pointer, data), mapping.unit)
             for pointer in (mapping.time, mapping.arrival)
         )
         has_kind = kind is not _MISSING and kind not in ("", None)
-        return Record(shown(kind) if has_kind else "record", raw, data, values, about, source_us, arrival_us)
+        return Record(json_text(kind) if has_kind else "record", raw, data, values, about, source_us, arrival_us)
 
     def derive(self, record: Record) -> Iterable[Derived] | None:
         """Return the event of each rule that the record matches; None if it matches none, or lacks what one needs.
@@ -196,7 +196,7 @@ def _is_pointer(text: str) -> bool:
     return _POINTER.fullmatch(text) is not None
 
 
-def _at(pointer: str, data: Any) -> Any:
+def _value_at(pointer: str, data: Any) -> Any:
     """Return the value at a JSON pointer, `_MISSING` if there is none."""
     for name in _names(pointer):
         if isinstance(data, dict) and name in data:
@@ -219,18 +219,20 @@ def _filled(text: Plain | list[str], data: Any) -> Any:
     if isinstance(text, list):
         filled = [_filled(part, data) for part in text]
         return (
-            _MISSING if any(part is _MISSING or part is None for part in filled) else [shown(part) for part in filled]
+            _MISSING
+            if any(part is _MISSING or part is None for part in filled)
+            else [json_text(part) for part in filled]
         )
     if not isinstance(text, str):
         return text
     if text.startswith("/"):
-        return _at(text, data)
+        return _value_at(text, data)
     pieces = list(_pieces(text))
     for index in range(1, len(pieces), 2):
-        filled = _at(pieces[index], data)
+        filled = _value_at(pieces[index], data)
         if filled is _MISSING or filled is None:
             return _MISSING
-        pieces[index] = shown(filled)
+        pieces[index] = json_text(filled)
     return "".join(pieces)
 
 
@@ -242,7 +244,7 @@ def _pieces(text: str) -> tuple[str, ...]:
 
 def _matches(rule: MappedEvent, data: Any) -> bool:
     for pointer, expected in rule.match.items():
-        actual = _at(pointer, data)
+        actual = _value_at(pointer, data)
         if not any(_is_same(actual, option) for option in (expected if isinstance(expected, list) else [expected])):
             return False
     return True
@@ -264,7 +266,7 @@ def _derived(rule: MappedEvent, data: Any) -> Derived | None:
     except UsageError:
         return None
     key, cause = (None if text is None else _filled(text, data) for text in (rule.key, rule.cause))
-    return Derived(event, *(None if item is None or item is _MISSING else shown(item) for item in (key, cause)))
+    return Derived(event, *(None if item is None or item is _MISSING else json_text(item) for item in (key, cause)))
 
 
 def _time_us(time: object, unit: str) -> int | None:

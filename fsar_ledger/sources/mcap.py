@@ -34,7 +34,7 @@ from fsar_ledger.events.envelope import Parties, RequestSubject, Robot, Subject,
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionStarted, ExecutionWithdrawn
 from fsar_ledger.events.request import RequestAccepted
 
-from .adapter import Derived, Input, Record, no_record, shown, unreadable
+from .adapter import Derived, Input, Record, json_text, no_record, unreadable
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_RECORD = 1 << 28
@@ -165,7 +165,7 @@ class Mcap:
                 data = msgspec.json.decode(message.data, type=dict[str, Any])
             except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
                 return unreadable(message.data, f"{channel.topic}: {error}")
-            values |= {name: shown(item) for name, item in data.items() if not isinstance(item, dict | list)}
+            values |= {name: json_text(item) for name, item in data.items() if not isinstance(item, dict | list)}
         return Record(
             _kind(kind, data or {}),
             message.data,
@@ -249,13 +249,13 @@ def _kind(schema: str, data: Mapping[str, Any]) -> str:
     """Return the kind of a message, with the level of a log or the type of a service event."""
     info = data.get("info")
     if schema.endswith("_Event") and isinstance(info, dict):
-        return f"{schema}/{_named(SERVICE_EVENTS, info.get('event_type'))}"
+        return f"{schema}/{_name_or_number(SERVICE_EVENTS, info.get('event_type'))}"
     if schema == "foxglove.Log":
-        return f"{schema}/{_named(LOG_LEVELS, data.get('level'))}"
+        return f"{schema}/{_name_or_number(LOG_LEVELS, data.get('level'))}"
     return schema
 
 
-def _named(names: tuple[str, ...], number: object) -> str:
+def _name_or_number(names: tuple[str, ...], number: object) -> str:
     return names[number] if isinstance(number, int) and 0 <= number < len(names) else f"{number}"
 
 

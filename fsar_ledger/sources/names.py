@@ -116,7 +116,7 @@ class PrivateNames:
     def _failed(self, what: str, error: OSError) -> WriteFailed:
         return WriteFailed(f"{value(str(self._path))}: {what} ({error.strerror})")
 
-    def known(self, principal: str) -> str:
+    def ledger_name(self, principal: str) -> str:
         """Return the principal as the ledger names it, unchanged if the table has no line for the name."""
         commitment = self._known.get(principal.removeprefix(KIND)) if self._is_name(principal) else None
         return principal if commitment is None else KIND + commitment

@@ -26,7 +26,7 @@ from fsar_ledger.base.printable import escaped
 from fsar_ledger.events import CONCERN_OF, Event
 from fsar_ledger.ledger.rows.schema import MAX_INTEGER, RECORDS, Field
 
-from .adapter import Derived, Input, Record, shown
+from .adapter import Derived, Input, Record, json_text
 from .columns import LAYOUT_OF, OUTCOMES, laid_out
 from .ocel_logs import Item, Log, opened_log
 
@@ -122,7 +122,7 @@ class Ocel:
             return None
         attributes = dict(item.attributes)
         key, cause = (
-            None if attributes.get(name) is None else shown(attributes[name]) for name in ("seq", "caused_by")
+            None if attributes.get(name) is None else json_text(attributes[name]) for name in ("seq", "caused_by")
         )
         return [Derived(event, key, cause)]
 
@@ -134,7 +134,7 @@ def _record(item: Item, kind: str, object_id: str | None) -> Record:
         earlier = objects.get(name)
         objects[name] = qualifier if earlier is None else f"{earlier}, {qualifier}"
     values = {"id": item.id} if object_id is None else {}
-    values |= {name: shown(attribute) for name, attribute in item.attributes}
+    values |= {name: json_text(attribute) for name, attribute in item.attributes}
     return Record(kind, item.raw, item, values, objects, item.time_us)
 
 

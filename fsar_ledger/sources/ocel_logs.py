@@ -186,7 +186,7 @@ class SqliteLog:
                         for row in rows
                         for column, attribute in row[3].items()
                     )
-                    yield _made(database, str(name), kind, None, None, attributes)
+                    yield _item_with_relations(database, str(name), kind, None, None, attributes)
 
     def events(self) -> Iterator[Item | Record]:
         """Yield the events by time, and by their position in their table where times are equal."""
@@ -194,7 +194,7 @@ class SqliteLog:
             _index(database, "event_object", "ocel_event_id", "ocel_object_id")
             tables = [_events(database, kind, table) for kind, table in _types(database, "event")]
             for text, _, name, kind, values in heapq.merge(*tables, key=lambda row: row[:2]):
-                yield _made(database, name, kind, text or None, time_us(text), tuple(values.items()))
+                yield _item_with_relations(database, name, kind, text or None, time_us(text), tuple(values.items()))
 
 
 _Event = tuple[str, int, str, str, dict[str, Any]]
@@ -268,7 +268,7 @@ def _index(database: sqlite3.Connection, table: str, source: str, target: str) -
     database.execute("CREATE INDEX temp.relations ON relation (own)")
 
 
-def _made(
+def _item_with_relations(
     database: sqlite3.Connection,
     name: str,
     kind: str,

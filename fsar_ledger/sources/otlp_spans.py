@@ -8,7 +8,7 @@ import msgspec
 from fsar_ledger.base.printable import escaped
 from fsar_ledger.events.envelope import Robot, recorded_robot
 
-from .adapter import BROKEN, OBJECT, RAW_LIST, RAW_OBJECT, Input, Record, lines, shown, unreadable
+from .adapter import BROKEN, OBJECT, RAW_LIST, RAW_OBJECT, Input, Record, json_text, lines, unreadable
 
 MAX_DOCUMENT = 1 << 26
 """Bytes of a document over several lines."""
@@ -176,8 +176,8 @@ def _span(raw: msgspec.Raw, service: str | None) -> Record:
     status, kind = span.get("status"), _kind(span.get("kind"))
     failure = _failure(status, attributes)
     tool = attributes.get("gen_ai.tool.name")
-    values = {"name": shown(span.get("name"))}
-    values |= {name: shown(attributes[name]) for name in SHOWN if name in attributes}
+    values = {"name": json_text(span.get("name"))}
+    values |= {name: json_text(attributes[name]) for name in SHOWN if name in attributes}
     values |= {name: text for name, text in (("service.name", service), ("failure", failure)) if text is not None}
     names = ((trace, "trace"), (span_id, "span"), (parent, "parent"))
     objects = {f"span/{text}" if part != "trace" else f"trace/{text}": part for text, part in names if text is not None}
@@ -196,7 +196,7 @@ def _span(raw: msgspec.Raw, service: str | None) -> Record:
             operation if isinstance(operation, str) else "",
             agent,
             kind == "CLIENT",
-            (_text(tool) if operation == "execute_tool" else None) or (shown(operation) if is_action else ""),
+            (_text(tool) if operation == "execute_tool" else None) or (json_text(operation) if is_action else ""),
             failure,
             failure is None and (ended_us is None or attributes.get("fsar.open") is True),
             attributes.get("error.type") not in REFUSED

@@ -259,7 +259,7 @@ class Recorder:
         # No declaration means what the run records.
         if not wanted <= recorded or (wanted and not recorded <= wanted | added):
             raise UsageError(
-                f"run {value(self.run)}: found a run that records {_shown(kept)}, expected {_shown(requested)}; "
+                f"run {value(self.run)}: found a run that records {_concerns(kept)}, expected {_concerns(requested)}; "
                 "declare the same, or give the run another name"
             )
         if started.epoch is None:
@@ -279,7 +279,7 @@ class Recorder:
         """Refuse a robot with another supervisor than at the beginning; an erased name counts as another."""
         for member in () if isinstance(fleet, Mapping) else fleet:
             earlier, current = stored.supervisors[member.robot], member.supervisor
-            if earlier == (current if self._names is None or current is None else self._names.known(current)):
+            if earlier == (current if self._names is None or current is None else self._names.ledger_name(current)):
                 continue
             erased = "" if self._names is None else " with the line that the table of names had of them then"
             raise UsageError(
@@ -379,5 +379,5 @@ def _first(robots: Mapping[str, str]) -> str:
     return value(", ".join(sorted(robots)[:3])) + ("..." if len(robots) > 3 else "") if robots else "none"
 
 
-def _shown(declaration: Declared) -> str:
+def _concerns(declaration: Declared) -> str:
     return ", ".join((*declaration.observes, *declaration.records)) or "nothing"

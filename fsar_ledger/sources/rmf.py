@@ -46,7 +46,7 @@ from fsar_ledger.events.request import RequestIssued
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
 
-from .adapter import Derived, Input, Record, objects, shown
+from .adapter import Derived, Input, Record, json_text, objects
 from .rmf_messages import BEGUN, RESPONSE, assigned_robot, entries, record_of, table, tables, task_id, text
 
 GIVEN_UP = frozenset(("failed", "canceled", "killed"))
@@ -153,7 +153,7 @@ def _changed(task: Task, name: str, state: Mapping[str, Any]) -> Iterator[Event]
     if not task.is_known:
         task.is_known = True
         yield TaskArrived(task_id=subject.task_id, robot=robot)
-    yield from _asked(task, subject, dispatch, category)
+    yield from _request_events(task, subject, dispatch, category)
     if task.robot is not None and robot is not None and robot != task.robot:
         yield ExecutionWithdrawn(subject, task.robot)
         task.robot, task.is_paused = None, False
@@ -166,10 +166,12 @@ def _changed(task: Task, name: str, state: Mapping[str, Any]) -> Iterator[Event]
     yield from _interrupted(task, subject, state)
     if status == "completed" or status in GIVEN_UP:
         task.has_ended = True
-        yield from _ended(task, subject, status, state)
+        yield from _end_events(task, subject, status, state)
 
 
-def _asked(task: Task, subject: Subject[str, str], dispatch: Mapping[str, Any], category: str) -> Iterator[Event]:
+def _request_events(
+    task: Task, subject: Subject[str, str], dispatch: Mapping[str, Any], category: str
+) -> Iterator[Event]:
     """Yield the dispatcher's request to a fleet, and to the robot that it expects, if it names one."""
     assignment = table(dispatch, "assignment")
     fleet, expected = text(assignment, "fleet_name"), text(assignment, "expected_robot_name")
@@ -201,7 +203,7 @@ def _interrupted(task: Task, subject: Subject[str, str], state: Mapping[str, Any
         yield ExecutionResumed(subject, task.robot)
 
 
-def _ended(task: Task, subject: Subject[str, str], status: str, state: Mapping[str, Any]) -> Iterator[Event]:
+def _end_events(task: Task, subject: Subject[str, str], status: str, state: Mapping[str, Any]) -> Iterator[Event]:
     """Yield the end of the task, and the release of its robot."""
     if status == "completed":
         if task.robot is not None:
@@ -223,7 +225,7 @@ def _cause(task: Task, state: Mapping[str, Any]) -> str:
     for phase in tables(table(state, "phases")).values():
         for event in tables(table(phase, "events")).values():
             if event.get("status") in ("failed", "error"):
-                details = [shown(event[name]) for name in ("name", "detail") if event.get(name)]
+                details = [json_text(event[name]) for name in ("name", "detail") if event.get(name)]
                 return escaped(": ".join(details) or "failed")
     return "failed"
 

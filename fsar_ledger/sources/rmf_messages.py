@@ -11,7 +11,7 @@ from typing import Any
 from fsar_ledger.base.printable import escaped
 from fsar_ledger.events.envelope import Robot, recorded_robot
 
-from .adapter import Record, shown, utc_us
+from .adapter import Record, json_text, utc_us
 
 UNKNOWN = "unknown"
 RESPONSE = "response"
@@ -41,7 +41,7 @@ def record_of(raw: bytes, line: dict[str, Any]) -> Record:
     kind, data = _message(line)
     arrival_us = utc_us(line.get("received"))
     if kind == UNKNOWN:
-        values = {name: shown(item) for name, item in line.items()}
+        values = {name: json_text(item) for name, item in line.items()}
         return Record(text(line, "type") or UNKNOWN, raw, None, values, {}, None, arrival_us)
     about: dict[str, str] = {}
     match kind:
@@ -56,7 +56,7 @@ def record_of(raw: bytes, line: dict[str, Any]) -> Record:
         case "fleet_state":
             values, kind_of = _fleet_values(data, about), kind
         case "fleet_log":
-            values, kind_of = {name: shown(item) for name, item in data.items()}, kind
+            values, kind_of = {name: json_text(item) for name, item in data.items()}, kind
             _add(about, f"fleet/{data['name']}", "fleet")
         case _:
             values = _request_values(data, about)
@@ -105,17 +105,17 @@ def _state_values(state: Mapping[str, Any], about: dict[str, str]) -> dict[str, 
     _label(about, booking, "booking label")
     _label(about, table(state, "cancellation"), "cancellation label")
     _label(about, table(state, "killed"), "kill label")
-    values = {f"booking/{name}": shown(item) for name, item in booking.items()}
-    values |= {name: shown(item) for name in OF_TASK if (item := state.get(name)) or item == 0}
+    values = {f"booking/{name}": json_text(item) for name, item in booking.items()}
+    values |= {name: json_text(item) for name in OF_TASK if (item := state.get(name)) or item == 0}
     for item in tables(table(state, "interruptions")).values():
         _label(about, item, "interruption label")
         _label(about, table(item, "resumed_by"), "resume label")
     for number, phase in tables(table(state, "phases")).items():
         if phase.get("skip_requests"):
-            values[f"phase/{number}/skip_requests"] = shown(phase["skip_requests"])
+            values[f"phase/{number}/skip_requests"] = json_text(phase["skip_requests"])
         for event_id, event in tables(table(phase, "events")).items():
             if text(event, "status") in TROUBLED:
-                values[f"phase/{number}/event/{event_id}"] = shown(event)
+                values[f"phase/{number}/event/{event_id}"] = json_text(event)
     return values
 
 
@@ -125,7 +125,7 @@ def _fleet_values(fleet: Mapping[str, Any], about: dict[str, str]) -> dict[str, 
     values = {}
     for name, state in tables(table(fleet, "robots")).items():
         robot = f"robot/{fleet['name']}.{name}"
-        values[robot] = shown(state)
+        values[robot] = json_text(state)
         _add(about, robot, "robot")
         if task := text(state, "task_id"):
             _add(about, f"task/{task}", "task")
@@ -145,8 +145,8 @@ def _request_values(message: Mapping[str, Any], about: dict[str, str]) -> dict[s
     fleet, robot = text(message, "fleet"), text(message, "robot")
     if robot:
         _add(about, f"robot/{fleet}.{robot}" if fleet else f"robot/{robot}", "asked robot")
-    values = {name: shown(item) for name, item in message.items() if name not in ("request", "type", "state")}
-    values |= {f"request/{name}": shown(item) for name, item in request.items()}
+    values = {name: json_text(item) for name, item in message.items() if name not in ("request", "type", "state")}
+    values |= {f"request/{name}": json_text(item) for name, item in request.items()}
     state = table(message, "state")
     return values | (
         {f"state/{name}": item for name, item in _state_values(state, about).items()} if task_id(state) else {}

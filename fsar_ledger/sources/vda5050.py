@@ -46,7 +46,7 @@ from fsar_ledger.events.request import RequestAccepted, RequestDenied, RequestIs
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import LinkCameUp, LinkWentDown, TaskArrived
 
-from .adapter import UNREADABLE, Derived, Input, Record, known, objects, shown, utc_us
+from .adapter import UNREADABLE, Derived, Input, Record, json_text, objects, require_format, utc_us
 
 KINDS: Mapping[str, tuple[str, ...]] = {
     "state": ("operatingMode",),
@@ -135,7 +135,7 @@ class Vda5050:
         files = list(inputs)
         records = (item if isinstance(item, Record) else self._record(*item) for item in objects(files))
         unknown = (UNREADABLE, "unknown")
-        return known(records, files, lambda item: item.kind not in unknown, "messages of VDA 5050, one a line")
+        return require_format(records, files, lambda item: item.kind not in unknown, "messages of VDA 5050, one a line")
 
     def _record(self, raw: bytes, line: dict[str, Any]) -> Record:
         message = line["payload"] if isinstance(line.get("payload"), dict) else line
@@ -146,10 +146,10 @@ class Vda5050:
         about = {} if vehicle is None else {str(vehicle): "vehicle"}
         if isinstance(order := message.get("orderId"), str) and order:
             about[f"task/{order}"] = "order"
-        values = {name: shown(message[name]) for name in SHOWN if name in message}
+        values = {name: json_text(message[name]) for name in SHOWN if name in message}
         for error in _listed(message, "errors"):
             if isinstance(error.get("errorType"), str):
-                values[f"error/{error['errorType']}"] = shown(error)
+                values[f"error/{error['errorType']}"] = json_text(error)
         arrived = line.get("received", line.get("arrival", line.get("time")))
         return Record(
             kind if kind != "state" else f"state/{values.get('operatingMode')}",

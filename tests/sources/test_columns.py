@@ -17,7 +17,7 @@ from fsar_ledger.base.errors import UsageError, WriteFailed
 from fsar_ledger.cli.app import run
 from fsar_ledger.events.source import Observed
 from fsar_ledger.sources import columns
-from fsar_ledger.sources.columns import event_of, tell, told
+from fsar_ledger.sources.columns import event_of, parse_line, tell
 from fsar_ledger.sources.recorder import Recorder
 
 STARTED = {"type": "ExecutionStarted", "task_id": "t", "action_id": "t/1", "robot": "robot/A1", "capability": "pick"}
@@ -134,7 +134,7 @@ def test_blank_lines_are_counted_and_nothing_else(recorder: Recorder) -> None:
 
 
 def test_a_line_without_a_time_or_a_cause_says_neither() -> None:
-    assert told(line(STARTED))[1:] == (None, None)
+    assert parse_line(line(STARTED))[1:] == (None, None)
 
 
 @pytest.fixture
@@ -150,23 +150,23 @@ def far_from_utc(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def test_a_time_without_a_zone_is_utc() -> None:
     when = datetime(2026, 3, 1, 10, tzinfo=UTC)
     for text in ("2026-03-01T10:00:00", "2026-03-01T10:00:00Z", "2026-03-01T12:00:00+02:00"):
-        assert told(line(STARTED, time=text))[1] == when
+        assert parse_line(line(STARTED, time=text))[1] == when
 
 
 def test_a_type_may_have_its_version() -> None:
-    assert told(line(STARTED, type="ExecutionStarted.v1")) == told(line(STARTED))
+    assert parse_line(line(STARTED, type="ExecutionStarted.v1")) == parse_line(line(STARTED))
 
 
 def test_what_may_be_unknown_is_and_a_decision_has_the_path_of_its_decider() -> None:
-    event: Any = told(line(ACCEPTED))[0]
+    event: Any = parse_line(line(ACCEPTED))[0]
     assert (event.principals.requested_by, event.principals.path) == (None, ("robot/A1",))
-    event = told(line(without(ACCEPTED, "decided_by")))[0]
+    event = parse_line(line(without(ACCEPTED, "decided_by")))[0]
     assert (event.principals.decided_by, event.principals.path) == (None, ())
 
 
 def test_a_path_that_is_no_list_is_named() -> None:
     with pytest.raises(UsageError, match="field path: "):
-        told(line(ACCEPTED, path={}))
+        parse_line(line(ACCEPTED, path={}))
 
 
 def test_the_command_names_what_it_refused_and_fails(
