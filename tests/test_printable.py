@@ -169,7 +169,7 @@ def test_a_line_goes_on_behind_a_mark_on_a_narrow_terminal() -> None:
     ],
 )
 def test_the_first_five_are_named_and_the_others_counted(count: int, said: str) -> None:
-    assert printable.some(map(str, range(count))) == said
+    assert printable.list_few(map(str, range(count))) == said
 
 
 @pytest.mark.parametrize(

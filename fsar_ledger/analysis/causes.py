@@ -86,7 +86,7 @@ class Outcome(NamedTuple):
 def runs_named(found: pa.Table, runs: Collection[str]) -> set[str]:
     """Return the runs that the rows of an outcome name. Raises: QueryFailed if the rows do not name runs."""
     if "run_id" not in found.column_names:
-        named = printable.some(map(printable.value, found.column_names))
+        named = printable.list_few(map(printable.value, found.column_names))
         raise QueryFailed(f"outcome: found the columns {named}, expected run_id of each run with the outcome")
     run_ids = set(found.column("run_id").to_pylist())
     if run_ids and run_ids.isdisjoint(runs):

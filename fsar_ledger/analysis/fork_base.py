@@ -137,7 +137,7 @@ class Rerun(NamedTuple):
             raise UsageError(_rejection(forked.record.events[rejected[0]]))
         is_same = forked.parts_at is None and forked.end is None
         if is_same and any(not _is_of_model(change) for change in changes):
-            text = printable.some(map(str, changes))
+            text = printable.list_few(map(str, changes))
             raise UsageError(f"change {text}: it has no effect, the run does the same; expected one that changes it")
         return forked
 
@@ -254,7 +254,7 @@ def _require_members(base: Base, change: Add) -> None:
             hint = printable.did_you_mean(named, of_kind) or ";"
             raise UsageError(
                 f"change {change}: there is no {printable.value(named)} in the fleet{hint} expected one of "
-                f"{printable.some(of_kind)}"
+                f"{printable.list_few(of_kind)}"
             )
 
 
@@ -325,7 +325,7 @@ def _unknown(what: str, change: AnyChange, unknown: str, names: Sequence[str]) -
     kind = unknown.partition(":")[0]
     of_kind = [name for name in names if name.partition(":")[0] == kind] or list(names)
     hint = printable.did_you_mean(unknown, of_kind) or ";"
-    options = printable.some(map(printable.value, of_kind)) or f"none: the run has no {what}"
+    options = printable.list_few(map(printable.value, of_kind)) or f"none: the run has no {what}"
     return UsageError(
         f"change {change}: the run has no {what} {printable.value(unknown)}{hint} expected one of {options}; {LIST}"
     )

@@ -240,7 +240,7 @@ def beliefs(past: Past, decider: str, now_us: int) -> list[Belief]:
     if decider not in names:
         hint = printable.did_you_mean(decider, names) or ";"
         raise UsageError(
-            f"{printable.value(decider)}: there is no such principal{hint} expected one of {printable.some(names)}"
+            f"{printable.value(decider)}: there is no such principal{hint} expected one of {printable.list_few(names)}"
         )
     last = _Last(past, now_us)
     robots = {str(robot): robot for robot in state.fleet.robots}

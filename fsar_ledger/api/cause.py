@@ -206,11 +206,11 @@ def cause(
 
 def _names_are(elements: "Iterable[Element]") -> str:
     names = [printable.value(element.name) for element in elements]
-    return f"{printable.some(names)} {'is' if len(names) == 1 else 'are'}" if names else "none of them is"
+    return f"{printable.list_few(names)} {'is' if len(names) == 1 else 'are'}" if names else "none of them is"
 
 
 def _listed(elements: "Sequence[Element]") -> str:
-    return printable.some([printable.value(element.name) for element in elements])
+    return printable.list_few([printable.value(element.name) for element in elements])
 
 
 def _curve(result: CauseResult) -> Iterator[str]:

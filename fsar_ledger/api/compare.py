@@ -166,7 +166,7 @@ def _pairing(both: tuple[Side, Side], result: Paired) -> list[str]:
     differing = [f"{constant.name}={constant.first_value} and {constant.second_value}" for constant in result.constants]
     unread = [side for side in both if side.parameter_set is None]
     constants = (
-        f"constants that differ, first and second: {printable.some(differing)}"
+        f"constants that differ, first and second: {printable.list_few(differing)}"
         if differing
         else "no constants are on record"
         if len(unread) == len(both)
@@ -287,4 +287,4 @@ def _cells(rows: list[SideRow], result: Paired) -> str:
         only = [] if {*seeds} == of_metric else [f"seed{'' if len(seeds) == 1 else 's'} {', '.join(map(str, seeds))}"]
         within = "; ".join(([] if scenario is None else [printable.value(scenario)]) + only)
         cells.append(f"{metric} ({within})" if within else metric)
-    return printable.some(cells)
+    return printable.list_few(cells)

@@ -245,7 +245,7 @@ def run_with(database: "Database", ledger: Path, action: str) -> str:
     matches = [str(row["run_id"]) for row in database.rows(sql, {"action": action})]
     if len(matches) > 1:
         numbers = numbers_of(database)
-        listed = printable.some(printable.value(str(numbers.get(run, run))) for run in matches)
+        listed = printable.list_few(printable.value(str(numbers.get(run, run))) for run in matches)
         raise UsageError(
             f"{printable.value(action)}: found this action in {len(matches):,} runs, expected the run, too; give "
             f"{option('run')} one of {listed}"

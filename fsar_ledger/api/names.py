@@ -86,7 +86,7 @@ def run_named(
         return runs[0]
     if runs:
         numbers = {name: number for number, name in enumerate(names, start=1)}
-        listed = printable.some(
+        listed = printable.list_few(
             printable.value(name) + (f" (number {numbers[name]:,})" if name in numbers else "") for name in runs
         )
         raise UsageError(
@@ -140,7 +140,7 @@ def _unknown(what: str, name: str, hint: str, names: Sequence[str]) -> UsageErro
 
 
 def _one_of(what: str, names: Sequence[str]) -> str:
-    return f"one of {printable.some(map(printable.value, sorted(names))) or f'none: no {what} is on record'}"
+    return f"one of {printable.list_few(map(printable.value, sorted(names))) or f'none: no {what} is on record'}"
 
 
 def names_of(asked: str | Sequence[str] | None) -> list[str] | None:

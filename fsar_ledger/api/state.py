@@ -181,9 +181,9 @@ def _robot(robot: "RobotNow") -> Iterator[str]:
         late = "; its beginning is not on record" if work.capability is None and work.stage != "helping" else ""
         yield f"{BESIDE}{work.stage} {printable.value(work.action_id)}{what}{whose}{until}{late}"
     if robot.queue:
-        yield f"{BESIDE}waiting: {printable.some(map(printable.value, robot.queue))}"
+        yield f"{BESIDE}waiting: {printable.list_few(map(printable.value, robot.queue))}"
     if robot.obstructions:
-        yield f"{BESIDE}in its way: {printable.some(map(printable.value, robot.obstructions))}"
+        yield f"{BESIDE}in its way: {printable.list_few(map(printable.value, robot.obstructions))}"
     for window in robot.windows or ():
         yield (
             f"{BESIDE}{window.scope} policy: {window.outcome}, window {printable.value(window.window)} since "
@@ -191,7 +191,7 @@ def _robot(robot: "RobotNow") -> Iterator[str]:
         )
     for availability, names in (robot.offers or {}).items():
         if availability != "ready":
-            yield f"{BESIDE}offers as {availability}: {printable.some(map(printable.value, names))}"
+            yield f"{BESIDE}offers as {availability}: {printable.list_few(map(printable.value, names))}"
 
 
 def _steps_done(count: int) -> str:

@@ -125,7 +125,7 @@ class Table(Rows):
         return int(self.stored.num_rows)
 
     def __repr__(self) -> str:
-        return f"<{type(self).__name__}: {printable.counted(len(self), 'row')} of {printable.some(self.columns)}>"
+        return f"<{type(self).__name__}: {printable.counted(len(self), 'row')} of {printable.list_few(self.columns)}>"
 
     def _repr_html_(self) -> str:
         """Return the first rows as HTML, for notebooks; text from a ledger is escaped."""

@@ -295,7 +295,7 @@ def _end(divergence: "Divergence") -> Iterator[str]:
             counted(len(divergence.left_out), "command"),
             map(printable.value, dict.fromkeys(divergence.left_out)),
         )
-        yield f"not given there, since nothing asks for that: {count} on record, {printable.some(names)}"
+        yield f"not given there, since nothing asks for that: {count} on record, {printable.list_few(names)}"
     if divergence.ends is not None:
         yield f"the fork ends at {divergence.ends_s:.3f} s: {printable.value(divergence.ends, 1_000)}"
         if divergence.question is not None:

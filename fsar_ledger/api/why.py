@@ -232,7 +232,7 @@ def _read_notes(traces: "Sequence[DecisionTrace]") -> dict[int, str]:
             if seq is not None:
                 reads.setdefault(seq, {}).setdefault(read.place, {})[read.name] = None
     return {
-        seq: "read: " + "; ".join(f"{place}: {printable.some(names)}" for place, names in places.items())
+        seq: "read: " + "; ".join(f"{place}: {printable.list_few(names)}" for place, names in places.items())
         for seq, places in reads.items()
     }
 

@@ -176,7 +176,7 @@ def counted(count: int, what: str) -> str:
     return f"{count:,} {what}{'' if count == 1 else 's'}"
 
 
-def some(parts: Iterable[str], what: str = "more") -> str:
+def list_few(parts: Iterable[str], what: str = "more") -> str:
     """List the first few parts and how many more there are: a, b, c, d, e and 3 more."""
     named = list(parts)
     more = len(named) - NAMED

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from fsar_ledger.base.printable import NAMED, counted, every, number, some
+from fsar_ledger.base.printable import NAMED, counted, every, list_few, number
 
 from .database import Database
 from .results import StatisticRow, setting_of, typed
@@ -225,7 +225,7 @@ def _runs(count: int, forks: int) -> str:
 def _list_values(values: Sequence[object] | None) -> str:
     """Return all of a few values, else the first and how many more there are."""
     names = [str(value) for value in values or ()]
-    return some(names) if len(names) > NAMED else every(names, "")
+    return list_few(names) if len(names) > NAMED else every(names, "")
 
 
 ANY_DIFFERS = "SELECT differs FROM run_pairs WHERE differs IS NOT NULL LIMIT 1"
@@ -256,7 +256,7 @@ def not_compared(database: Database) -> list[str]:
         f"{counted(row['runs'], 'run')} ({row['kind']}) of {row['architecture'] or 'no named architecture'}"
         for row in kinds
     ]
-    named = some(names, "kinds more")
+    named = list_few(names, "kinds more")
     if all(row["nameless"] == row["runs"] for row in kinds):
         return [
             f"found {named}, all without seed, scenario, fleet size or number; runs that are not known to have met one "

@@ -149,13 +149,13 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
             else f", {self.run_count - self.named_count:,} of them without seed, scenario, number or size"
         )
         seeds = (
-            f"seed{'' if len(self.seeds) == 1 else 's'} {printable.some(map(str, self.seeds))}"
+            f"seed{'' if len(self.seeds) == 1 else 's'} {printable.list_few(map(str, self.seeds))}"
             if self.seeds
             else "no seed"
         )
         return (
             f"{self}{unnamed} under {seeds}, "
-            f"{printable.some(map(printable.value, self.scenarios or ())) or 'no scenario'}"
+            f"{printable.list_few(map(printable.value, self.scenarios or ())) or 'no scenario'}"
         )
 
 
@@ -335,7 +335,7 @@ def _like(side: Side | None, others: Sequence[Side], option: str, ledger: str) -
 
 
 def _listed(sides: Sequence[Side]) -> str:
-    return printable.some(map(str, sides), "more, which `fsar-ledger info` lists") or "no runs"
+    return printable.list_few(map(str, sides), "more, which `fsar-ledger info` lists") or "no runs"
 
 
 @contextmanager

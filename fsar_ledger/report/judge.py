@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import msgspec
 
-from fsar_ledger.base.printable import counted, some
+from fsar_ledger.base.printable import counted, list_few
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
 from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.metrics import verdicts
@@ -141,7 +141,7 @@ def why_unjudged(runs: Mapping[str, RunCounts], pairs: Mapping[str, RunCounts]) 
             names_by_count.setdefault(_listed(pairs[name], "pair"), []).append(name.upper().replace("-", " vs "))
     if not names_by_count:
         return None
-    of_each = "; ".join(f"of {some(names)} this ledger has {listed}" for listed, names in names_by_count.items())
+    of_each = "; ".join(f"of {list_few(names)} this ledger has {listed}" for listed, names in names_by_count.items())
     return (
         f"The printed tables are over {len(PAPER_SCENARIOS)} scenarios with equally many runs of each, but {of_each}. "
         "They are therefore shown without a verdict."
@@ -149,7 +149,7 @@ def why_unjudged(runs: Mapping[str, RunCounts], pairs: Mapping[str, RunCounts]) 
 
 
 def _listed(of_scenarios: RunCounts, what: str) -> str:
-    return some(
+    return list_few(
         f"{counted(count, what)} of {name or 'no scenario'}"
         for name, count in sorted(of_scenarios.items(), key=lambda item: item[0] or "")
     )

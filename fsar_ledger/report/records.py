@@ -137,16 +137,16 @@ def fit_changed(findings: Findings, record: Calibration | None) -> str | None:
     if record is None or not versions:
         return None
     if versions != [record.model_version]:
-        ran = f"of version{'' if len(versions) == 1 else 's'} {printable.some(map(words, versions))}"
+        ran = f"of version{'' if len(versions) == 1 else 's'} {printable.list_few(map(words, versions))}"
         unknown = "a model whose version is not on record"
         fitted = unknown if record.model_version is None else f"model version {words(record.model_version)}"
         return f"The model has changed since the fit: the constants were fitted to {fitted}, and these runs are {ran}."
     if own_rows := own_constants(findings.parameters).to_pylist():
-        names = printable.some(words(row["name"]) for row in own_rows)
+        names = printable.list_few(words(row["name"]) for row in own_rows)
         return f"These runs have constants of their own, not those of the fit: {names}."
     if record.rules is None:
         return "The record of the fit does not say which queries judged its runs."
-    later = printable.some(map(words, changed(record.rules)))
+    later = printable.list_few(map(words, changed(record.rules)))
     return f"What judges the runs has changed since the fit: {later}." if later else None
 
 

@@ -99,7 +99,7 @@ class Experiment(msgspec.Struct, frozen=True):
             )
         self._require_mechanisms()
         if wrong := negatives(self.constants):
-            raise InvalidExperiment(f"constants: found {printable.some(wrong)}, expected 0 or more")
+            raise InvalidExperiment(f"constants: found {printable.list_few(wrong)}, expected 0 or more")
         self._require_workflows_as_written()
         self._require_possible_load()
         self._require_possible_membership()

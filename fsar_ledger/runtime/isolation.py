@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from fsar_ledger.base.errors import UsageError
-from fsar_ledger.base.printable import did_you_mean, some, value
+from fsar_ledger.base.printable import did_you_mean, list_few, value
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandGiven
@@ -93,7 +93,7 @@ def _isolation(view: View, run: str, robot: Robot, size: int, root: str) -> Isol
         members = sorted(state.fleet.robots)
         raise UsageError(
             f"{view.path}: run {value(run)}: found no fleet with {value(robot)}{did_you_mean(robot, members) or ','} "
-            f"expected one of {some(members)}"
+            f"expected one of {list_few(members)}"
         )
     began = IsolationBegan(
         robot=robot,

@@ -15,7 +15,7 @@ import msgspec
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import InvalidExperiment, UsageError
 from fsar_ledger.base.parameters import BadParameters
-from fsar_ledger.base.printable import NAMED, some
+from fsar_ledger.base.printable import NAMED, list_few
 from fsar_ledger.designs.constants import Constants, read_constants
 from fsar_ledger.events.configuration import EVERY_MECHANISM, FULL, removed_mechanisms, without
 from fsar_ledger.events.fleet import RunStarted
@@ -283,7 +283,7 @@ def _require_own_words(started: RunStarted, recipe: Recipe) -> None:
         raise CannotReplay("observes", repr(own.observes), repr(started.observes))
     if started.parameters != own.parameters:
         recorded, ours = ([named["name"] for named in constants_of(each.parameters) or ()] for each in (started, own))
-        lacks = some(name for name in ours if name not in recorded)
+        lacks = list_few(name for name in ours if name not in recorded)
         actual = f"{started.parameters!r:.300}{lacks and f' without {lacks}'}"
         raise CannotReplay("parameters", "all constants of the model, in the form in which it writes them", actual)
     if started.changes is not None:
@@ -374,8 +374,8 @@ def remarks_on(found: Iterable[WorldConstantsUsed]) -> tuple[str, ...]:
     total = sum(count.total() for count in runs.values())
     lines = [
         f"{_kind(differences)}: {counts.total():,} of {total:,} runs "
-        f"({some(f'{count:,} of {side}' for side, count in counts.items())}) "
-        f"{KINDS[_kind(differences)]}: {some(differences)}"
+        f"({list_few(f'{count:,} of {side}' for side, count in counts.items())}) "
+        f"{KINDS[_kind(differences)]}: {list_few(differences)}"
         for parameters, counts in runs.items()
         if (differences := unlike_ours(parameters))
     ]

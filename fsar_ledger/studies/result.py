@@ -96,7 +96,7 @@ def stale(result: Result) -> str | None:
     if changed_queries := changed(result.rules):
         return (
             "that other queries made, expected those of this version; changed since: "
-            f"{printable.some(map(printable.value, changed_queries))}"
+            f"{printable.list_few(map(printable.value, changed_queries))}"
         )
     return None
 
