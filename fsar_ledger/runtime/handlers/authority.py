@@ -25,7 +25,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.trust import is_about
 
-from .commands import CloseExecution, Command, Handlers, RobotCommand, Scheduled, named, nobody
+from .commands import CloseExecution, Command, Handlers, RobotCommand, Scheduled, commanded_robot, nobody
 from .public import (
     PublicCommand,
     carried_out,
@@ -182,7 +182,7 @@ def expire_context(state: State, command: ExpireContext) -> tuple[AuthorityRevok
     )
 
 
-@HANDLERS.decide(RevokeDistrusted, named)
+@HANDLERS.decide(RevokeDistrusted, commanded_robot)
 def revoke_distrusted(state: State, command: RevokeDistrusted) -> tuple[AuthorityRevoked, ...]:
     """Revoke the rights that the peer is no longer trusted with; what was admitted continues.
 

@@ -277,7 +277,7 @@ def nobody(_state: State, _command: Command) -> None:
     """Return None: a world, service, coordinator or human command has no actor that could be off."""
 
 
-def named(_state: State, command: RobotCommand) -> Robot:
+def commanded_robot(_state: State, command: RobotCommand) -> Robot:
     """Return the robot that the command names."""
     return command.robot
 

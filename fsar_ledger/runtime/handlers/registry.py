@@ -43,7 +43,7 @@ from fsar_ledger.projections.registry import (
 
 from .attribution import recorded_by
 from .candidates import Answer, Query, candidates, contradiction, is_range, version_of, weaker
-from .commands import Handlers, RobotCommand, Scheduled, named
+from .commands import Handlers, RobotCommand, Scheduled, commanded_robot
 from .fleet import in_use, not_possessed
 from .public import PublicCommand, absent_robot, carried_out, made_from, rejected
 
@@ -293,7 +293,7 @@ def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event,
     )
 
 
-@HANDLERS.decide(FinishRollOut, named)
+@HANDLERS.decide(FinishRollOut, commanded_robot)
 def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
     """Advertise the new version on the terms of the old one, unless that was withdrawn or replaced.
 

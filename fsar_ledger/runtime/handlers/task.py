@@ -35,8 +35,8 @@ from .commands import (
     Handlers,
     Scheduled,
     acting,
+    commanded_robot,
     message,
-    named,
     next_in_task,
     nobody,
     present,
@@ -266,7 +266,7 @@ class EndClaims(Command):
     task_id: str
 
 
-@HANDLERS.decide(WithdrawTask, named)
+@HANDLERS.decide(WithdrawTask, commanded_robot)
 def withdraw_task(state: State, command: WithdrawTask) -> tuple[Event, ...]:
     """Withdraw the actions of the task that the robot has not begun, and release every claim on them."""
     waiting = [

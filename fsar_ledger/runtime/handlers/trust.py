@@ -11,7 +11,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import advertisement
 from fsar_ledger.projections.trust import SCOPES, Key, Trust, covers, follows_record, scope_of
 
-from .commands import Command, Handlers, RobotCommand, Scheduled, named, nobody
+from .commands import Command, Handlers, RobotCommand, Scheduled, commanded_robot, nobody
 from .public import (
     PublicCommand,
     carried_out,
@@ -131,7 +131,7 @@ def set_trust_thresholds(state: State, command: SetTrustThresholds) -> tuple[Eve
     return carried_out(command, "trust", refused, command.issued_by, event)
 
 
-@HANDLERS.decide(AssessTrust, named)
+@HANDLERS.decide(AssessTrust, commanded_robot)
 def assess_trust(state: State, command: AssessTrust) -> tuple[Event, ...]:
     """Make trust one scope narrower or broader when the record has reached a threshold; none stays none.
 

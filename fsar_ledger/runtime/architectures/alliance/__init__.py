@@ -55,10 +55,10 @@ from fsar_ledger.runtime.handlers.commands import (
     StartAction,
     TakeTurn,
     body,
+    commanded_robot,
     holds,
     known_action,
     lasts,
-    named,
     open_failure,
 )
 from fsar_ledger.runtime.handlers.execution import (
@@ -103,7 +103,7 @@ def _resume(state: State, command: ResumeAction) -> tuple[Event, ...]:
     return resumed(state, command, action)
 
 
-@HANDLERS.decide(DecideRoutine, named)
+@HANDLERS.decide(DecideRoutine, commanded_robot)
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """Perform the routine operation; withhold a motion that the robot's own policy, if it is sensed, does not allow."""
     robot, operation = command.robot, command.operation

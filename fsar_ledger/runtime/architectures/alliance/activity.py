@@ -27,7 +27,7 @@ from fsar_ledger.projections.motivation import (
 from fsar_ledger.projections.request import Request
 from fsar_ledger.runtime.handlers.attribution import is_idle
 from fsar_ledger.runtime.handlers.authority import released
-from fsar_ledger.runtime.handlers.commands import CompleteStep, Handlers, Scheduled, message, named
+from fsar_ledger.runtime.handlers.commands import CompleteStep, Handlers, Scheduled, commanded_robot, message
 from fsar_ledger.runtime.handlers.execution import queued
 from fsar_ledger.runtime.handlers.recovery import escalated
 
@@ -77,7 +77,7 @@ def in_hand_of(state: State, robot: Robot, action_id: str) -> Action | None:
     return state.execution.actions.get(execution_name(state.execution, action_id, robot))
 
 
-@HANDLERS.decide(TakeUp, named)
+@HANDLERS.decide(TakeUp, commanded_robot)
 def take_up(state: State, command: TakeUp) -> tuple[Event, ...]:
     """Become active at the threshold, unless suppressed by another activity or not applicable.
 
@@ -134,7 +134,7 @@ def _taken_over(state: State, action_id: str, robot: Robot) -> tuple[FailureReso
     )
 
 
-@HANDLERS.decide(Broadcast, named)
+@HANDLERS.decide(Broadcast, commanded_robot)
 def broadcast(state: State, command: Broadcast) -> tuple[Event, ...]:
     """Broadcast the activity while it lasts."""
     active, action_id = state.motivation.active.get(command.robot), command.action_id
@@ -143,7 +143,7 @@ def broadcast(state: State, command: Broadcast) -> tuple[Event, ...]:
     return (ActivityBroadcast(Subject(task_of(action_id), action_id), command.robot, active.since_us),)
 
 
-@HANDLERS.decide(Acquiesce, named)
+@HANDLERS.decide(Acquiesce, commanded_robot)
 def acquiesce(state: State, command: Acquiesce) -> tuple[Event, ...]:
     """Leave the action: yield to a teammate that broadcasts, give up, or stop because its sensors no longer allow it.
 
@@ -184,7 +184,7 @@ def leave_action(state: State, action: Action, *, is_taken: bool) -> tuple[Event
     return tuple(records)
 
 
-@HANDLERS.decide(EndActivity, named)
+@HANDLERS.decide(EndActivity, commanded_robot)
 def end_activity(state: State, command: EndActivity) -> tuple[Event, ...]:
     """End the robot's claim. A finished action is no longer needed, and a failure it recovered from by itself ends."""
     robot, action_id = command.robot, command.action_id
@@ -196,7 +196,7 @@ def end_activity(state: State, command: EndActivity) -> tuple[Event, ...]:
     return (*releases, *resolved, *_need_ended(state, command, robot))
 
 
-@HANDLERS.decide(HearDone, named)
+@HANDLERS.decide(HearDone, commanded_robot)
 def hear_done(state: State, command: HearDone) -> tuple[Event, ...]:
     """Stop the robot's work on the action, and forget the need."""
     action = in_hand_of(state, command.robot, command.action_id)

@@ -27,8 +27,8 @@ from fsar_ledger.runtime.handlers.commands import (
     Handlers,
     RobotCommand,
     Scheduled,
+    commanded_robot,
     message,
-    named,
     open_request,
     requester,
 )
@@ -168,14 +168,14 @@ def notice_need(_state: State, command: NoticeNeed, request: Request) -> tuple[E
     return (MotivationBegan(request.subject, request.requester, command.now_us),)
 
 
-@HANDLERS.decide(SenseNeed, named)
+@HANDLERS.decide(SenseNeed, commanded_robot)
 def sense_need(state: State, command: SenseNeed) -> tuple[Event, ...]:
     """Start the motivation's growth."""
     request = wanted(state, command.action_id, command.now_us)
     return () if request is None else (MotivationBegan(request.subject, command.robot, command.now_us),)
 
 
-@HANDLERS.decide(GrowAgain, named)
+@HANDLERS.decide(GrowAgain, commanded_robot)
 def grow_again(state: State, command: GrowAgain) -> tuple[Event, ...]:
     """Let the motivation grow from zero, if the robot knows of the need, is free, and its sensors allow."""
     request, robot = wanted(state, command.action_id, command.now_us), command.robot
@@ -187,7 +187,7 @@ def grow_again(state: State, command: GrowAgain) -> tuple[Event, ...]:
     return (MotivationBegan(request.subject, robot, command.now_us),)
 
 
-@HANDLERS.decide(HearActivity, named)
+@HANDLERS.decide(HearActivity, commanded_robot)
 def hear_activity(state: State, command: HearActivity) -> tuple[Event, ...]:
     """Record what was heard: the first broadcast of a teammate sets the motivation to zero (impatience_reset.cpp)."""
     request, robot, dials = wanted(state, command.action_id, command.now_us), command.robot, state.fleet.alliance

@@ -43,8 +43,8 @@ from fsar_ledger.runtime.handlers.commands import (
     Handlers,
     Scheduled,
     at_once,
+    commanded_robot,
     message,
-    named,
     nobody,
     open_request,
     target,
@@ -170,7 +170,7 @@ def _commanding(executor: Robot | None) -> Principals:
     return parties.decided(COORDINATOR)
 
 
-@HANDLERS.decide(ReceiveCommand, named)
+@HANDLERS.decide(ReceiveCommand, commanded_robot)
 def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
     """Queue the command at the robot, or call H_F for the order if it would be a second delegation.
 

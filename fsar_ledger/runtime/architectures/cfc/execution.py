@@ -60,11 +60,11 @@ from fsar_ledger.runtime.handlers.commands import (
     TakeTurn,
     at_once,
     body,
+    commanded_robot,
     helping,
     holds,
     lasts,
     message,
-    named,
     nobody,
     open_failure,
 )
@@ -98,7 +98,7 @@ class EndWatch(Command):
     window: str
 
 
-@HANDLERS.decide(SafeStop, named)
+@HANDLERS.decide(SafeStop, commanded_robot)
 def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
     """Let the robot claim override over its actions, and both supervisors claim supervision where a window opened."""
     claimed: list[Event] = []
@@ -136,7 +136,7 @@ def end_watch(state: State, command: EndWatch) -> tuple[Event, ...]:
     return released(made_for(state.authority, command.window))
 
 
-@HANDLERS.decide(DecideRoutine, named)
+@HANDLERS.decide(DecideRoutine, commanded_robot)
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """Perform the routine operation; withhold a motion that the last copy of policy or rule forbids."""
     robot = command.robot

@@ -31,9 +31,9 @@ from fsar_ledger.runtime.handlers.commands import (
     Handlers,
     RobotCommand,
     Scheduled,
+    commanded_robot,
     hop,
     hops,
-    named,
     nobody,
     open_request,
     requester,
@@ -83,7 +83,7 @@ class HandOver(RobotCommand):
     agents: Talk
 
 
-@HANDLERS.decide(HandOver, named)
+@HANDLERS.decide(HandOver, commanded_robot)
 def hand_over(state: State, command: HandOver) -> tuple[InternalHandoff, ...]:
     """Record each hop, without a requester: no message between agents names one. Reading: R21."""
     names = path(command.robot, command.agents)
@@ -138,7 +138,7 @@ def snapshot(state: State, robot: Robot, capability: str | None, context: str | 
     return stricter(window, standing(state.policy, "local", robot, capability, context))
 
 
-@HANDLERS.decide(TakeSnapshot, named)
+@HANDLERS.decide(TakeSnapshot, commanded_robot)
 def take_snapshot(state: State, command: TakeSnapshot) -> tuple[Event, ...]:
     """Refresh the planner's snapshot with the policy as it is now."""
     return (SnapshotTaken(command.robot, in_force(state.world.local, command.robot)),)
@@ -152,7 +152,7 @@ def detect_gap(state: State, _command: DetectGap, request: Request) -> tuple[Eve
     return (GapDetected(request.subject, parties, request.capability),)
 
 
-@HANDLERS.decide(EngagePlanner, named)
+@HANDLERS.decide(EngagePlanner, commanded_robot)
 def engage_planner(state: State, command: EngagePlanner) -> tuple[Event, ...]:
     """Make every agent that is party to an open action of the robot claim override until the action ends."""
     robot = command.robot

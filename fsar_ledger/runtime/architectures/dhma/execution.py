@@ -37,8 +37,8 @@ from fsar_ledger.runtime.handlers.commands import (
     at_once,
     begin_again,
     body,
+    commanded_robot,
     message,
-    named,
     open_request,
     requester,
     target,
@@ -243,7 +243,7 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
     return (started(state, action, command),)
 
 
-@HANDLERS.decide(DecideRoutine, named)
+@HANDLERS.decide(DecideRoutine, commanded_robot)
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """Perform the routine operation: sensing by one agent, a motion by the planner.
 

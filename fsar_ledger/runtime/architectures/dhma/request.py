@@ -43,8 +43,8 @@ from fsar_ledger.runtime.handlers.commands import (
     Scheduled,
     at_once,
     begin_again,
+    commanded_robot,
     message,
-    named,
     open_request,
     requester,
     target,
@@ -126,7 +126,7 @@ def call_for_proposals(state: State, _command: CallForProposals, request: Reques
     )
 
 
-@HANDLERS.decide_on(open_request, EvaluateBid, named)
+@HANDLERS.decide_on(open_request, EvaluateBid, commanded_robot)
 def evaluate_bid(state: State, command: EvaluateBid, request: Request) -> tuple[Event, ...]:
     """Bid by the snapshot of the candidate's planner, without naming the agent that would execute."""
     robot, outcome = command.robot, snapshot(state, command.robot, request.capability, request.task_id)

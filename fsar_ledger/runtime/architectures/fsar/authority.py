@@ -21,8 +21,8 @@ from fsar_ledger.runtime.handlers.commands import (
     Handlers,
     RobotCommand,
     Scheduled,
+    commanded_robot,
     message,
-    named,
     nobody,
     open_request,
 )
@@ -44,7 +44,7 @@ class RememberPeer(RobotCommand):
     peer: Robot
 
 
-@HANDLERS.decide(Revoke, named)
+@HANDLERS.decide(Revoke, commanded_robot)
 def revoke(state: State, command: Revoke) -> tuple[Event, ...]:
     """Let the requester claim override over what runs for it, until the next request boundary."""
     if command.robot in state.fleet.departed:
@@ -143,7 +143,7 @@ def _refused(state: State, task_id: str, robot: Robot, peer: Robot, capability: 
     )
 
 
-@HANDLERS.decide(RememberPeer, named)
+@HANDLERS.decide(RememberPeer, commanded_robot)
 def remember_peer(state: State, command: RememberPeer) -> tuple[Event, ...]:
     """Record that both robots remember each other for a while."""
     until_us = command.now_us + state.fleet.structure.encounter_memory_us

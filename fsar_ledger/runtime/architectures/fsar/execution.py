@@ -47,9 +47,9 @@ from fsar_ledger.runtime.handlers.commands import (
     TakeTurn,
     at_once,
     body,
+    commanded_robot,
     known_action,
     message,
-    named,
     open_request,
     requester,
 )
@@ -230,7 +230,7 @@ def _hold_event(
     return ExecutionHeld(action.subject, principals, action.robot, outcome, reason)
 
 
-@HANDLERS.decide(DecideRoutine, named)
+@HANDLERS.decide(DecideRoutine, commanded_robot)
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """Perform the routine operation; a motion only if the robot's policy and the fleet's rule are clear."""
     robot = command.robot
@@ -244,7 +244,7 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     return (RoutinePerformed(principals, robot, command.operation),)
 
 
-@HANDLERS.decide(LearnFleetRule, named)
+@HANDLERS.decide(LearnFleetRule, commanded_robot)
 def learn_fleet_rule(state: State, command: LearnFleetRule) -> tuple[Event, ...]:
     """Record the rule at the robot, unless a newer message has overtaken this one."""
     if command.as_of_us < state.knowledge.fleet_rule_as_of_us.get(command.robot, 0):

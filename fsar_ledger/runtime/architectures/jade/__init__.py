@@ -59,9 +59,9 @@ from fsar_ledger.runtime.handlers.commands import (
     TakeTurn,
     begin_again,
     body,
+    commanded_robot,
     known_action,
     message,
-    named,
     open_request,
     requester,
 )
@@ -94,7 +94,7 @@ def decide_own_step(state: State, _command: DecideOwnStep, request: Request) -> 
     return (decided, queued_for(state, request, parties, robot))
 
 
-@HANDLERS.decide(DecideRoutine, named)
+@HANDLERS.decide(DecideRoutine, commanded_robot)
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """Perform the routine operation; a motion only if the robot's own policy allows it."""
     robot = command.robot

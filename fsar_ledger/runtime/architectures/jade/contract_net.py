@@ -51,8 +51,8 @@ from fsar_ledger.runtime.handlers.commands import (
     Handlers,
     Scheduled,
     begin_again,
+    commanded_robot,
     message,
-    named,
     nobody,
     open_request,
     requester,
@@ -167,7 +167,7 @@ def refusal(state: State, request: Request, robot: Robot) -> str | None:
     return None if own_policy(state.policy, state.world, robot, *about) == "allow" else "policy"
 
 
-@HANDLERS.decide_on(open_request, EvaluateCall, named)
+@HANDLERS.decide_on(open_request, EvaluateCall, commanded_robot)
 def evaluate_call(state: State, command: EvaluateCall, request: Request) -> tuple[Event, ...]:
     """Propose or refuse by the robot's own policy as it is now; the message names its sender as the executor."""
     if command.round != request.round:

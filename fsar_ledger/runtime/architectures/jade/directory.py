@@ -28,8 +28,8 @@ from fsar_ledger.runtime.handlers.commands import (
     Handlers,
     RobotCommand,
     Scheduled,
+    commanded_robot,
     message,
-    named,
     nobody,
     open_request,
     requester,
@@ -174,7 +174,7 @@ def register(state: State, command: Register) -> tuple[Event, ...]:
     )
 
 
-@HANDLERS.decide(HearOfChange, named)
+@HANDLERS.decide(HearOfChange, commanded_robot)
 def hear_of_change(_state: State, command: HearOfChange) -> tuple[Event, ...]:
     """Refresh the subscriber's copy of the DF."""
     return (RegistryCached(command.robot, command.now_us),)

@@ -78,9 +78,9 @@ from fsar_ledger.runtime.handlers.commands import (
     StartAction,
     TakeTurn,
     body,
+    commanded_robot,
     helping,
     message,
-    named,
     open_failure,
 )
 from fsar_ledger.runtime.handlers.execution import approach, pause_running, resume_when_replanned, start
@@ -93,7 +93,7 @@ from .master import is_shown_idle, may, on_record
 HANDLERS = Handlers()
 
 
-@HANDLERS.decide(DecideRoutine, named)
+@HANDLERS.decide(DecideRoutine, commanded_robot)
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """Perform the routine operation; with the gate, withhold a motion that the robot's own policy denies."""
     principals = on_record(command.robot).decided(command.robot)

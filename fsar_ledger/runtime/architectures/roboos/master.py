@@ -73,8 +73,8 @@ from fsar_ledger.runtime.handlers.commands import (
     RobotCommand,
     Scheduled,
     at_once,
+    commanded_robot,
     message,
-    named,
     nobody,
     open_request,
 )
@@ -126,7 +126,7 @@ def _registered(state: State, robot: Robot, now_us: int) -> StoreEntryWritten:
     return StoreEntryWritten(robot=robot, availability="ready", until_us=until_us, written_by=robot)
 
 
-@HANDLERS.decide(Heartbeat, named)
+@HANDLERS.decide(Heartbeat, commanded_robot)
 def beat(state: State, command: Heartbeat) -> tuple[StoreEntryWritten, ...]:
     """Renew the expiry, unless the robot has connected again since or the entry has expired."""
     robot, expiry_us = command.robot, state.fleet.roboos.expiry_us
@@ -138,7 +138,7 @@ def beat(state: State, command: Heartbeat) -> tuple[StoreEntryWritten, ...]:
     return (StoreEntryWritten(robot=robot, availability=availability, until_us=until_us, written_by=robot),)
 
 
-@HANDLERS.decide(Connect, named)
+@HANDLERS.decide(Connect, commanded_robot)
 def connect(state: State, command: Connect) -> tuple[StoreEntryWritten, ...]:
     """Register the robot as idle, whatever it has in hand (slaver/run.py, connect_to_robot)."""
     return (_registered(state, command.robot, command.now_us),)
@@ -327,7 +327,7 @@ def _on_completed(_state: State, event: StepCompleted, _now_us: int) -> tuple[Sc
     return (Scheduled(BeginSubtask(event.subject.task_id)),)
 
 
-@HANDLERS.decide(TakeSubtask, named)
+@HANDLERS.decide(TakeSubtask, commanded_robot)
 def take_subtask(state: State, command: TakeSubtask) -> tuple[Event, ...]:
     """Queue the subtask behind the lock; with the gate, refuse what the robot's own policy denies."""
     request, robot = open_request(state, command.action_id), command.robot
