@@ -104,7 +104,7 @@ def a_sealed_journal(path: Path, draw: random.Random, beside: Path) -> Case | No
         return None
     kept = {name: (path / name).read_bytes() for name in (JOURNAL, NODES, INDEX) if (path / name).exists()}
     is_compacted = draw.random() < 0.5
-    with Writer(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN, adopts=True) as writer:
         writer.seal()
         if is_compacted:
             writer.compact()
@@ -118,7 +118,7 @@ def a_journal_handed_over_and_sealed(path: Path, draw: random.Random, beside: Pa
     if not (count := view_of(path).journal.sealing):
         return None
     kept = {name: (path / name).read_bytes() for name in (SEALING, NODES, INDEX) if (path / name).exists()}
-    with Writer(path, ORIGIN) as writer, writer._turn:
+    with Writer(path, ORIGIN, adopts=True) as writer, writer._turn:
         writer._seal(count)
     for name, data in kept.items():
         if name == SEALING or draw.random() < 0.5:
@@ -129,7 +129,7 @@ def a_journal_handed_over_and_sealed(path: Path, draw: random.Random, beside: Pa
 def superseded_segments(path: Path, draw: random.Random, beside: Path) -> Case | None:
     for file in (path / "segments").iterdir():
         shutil.copy(file, beside)
-    with Writer(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN, adopts=True) as writer:
         if not writer.compact():
             return None
     for file in beside.iterdir():
