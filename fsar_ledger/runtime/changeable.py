@@ -53,10 +53,12 @@ from fsar_ledger.events.world import (
     SyncPhaseSet,
     TaskArrived,
 )
+from fsar_ledger.projections.fleet import NEVER_US
 
 from .changes import MODEL, NEVER, Answer, seconds_text
 from .ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Fact, World
 from .world import FOREVER_US, Draws
+from .world.schedule import apart
 
 FactPositions = dict[str, tuple[int, ...]]
 """By name, the indices of its facts among all facts of the run: one, or a beginning and an end."""
@@ -168,12 +170,7 @@ def continued(
     facts += [
         (after[index][0], _numbered(after[index][1], numbers)) for name in later for index in second_indices[name]
     ]
-    apart: list[Fact] = []
-    last_us = 0
-    for time_us, fact in sorted(facts, key=lambda entry: entry[0]):
-        last_us = max(time_us, last_us + 1)
-        apart.append((last_us, fact))
-    return tuple(apart)
+    return apart(sorted(facts, key=lambda entry: entry[0]), NEVER_US)
 
 
 def _happens_once(fact: Event) -> bool:
@@ -200,14 +197,11 @@ def _numbered_on(kept: Iterable[str], later: Sequence[str]) -> dict[str, str]:
 def _numbered(fact: Event, numbers: Mapping[str, str]) -> Event:
     replace = msgspec.structs.replace
     match fact:
-        case PolicyWindowOpened() | PolicyWindowClosed():
-            name = numbers.get(f"window:{fact.window}")
-            return fact if name is None else replace(fact, window=name.partition(":")[2])
-        case ContextChanged() if fact.window is not None:
+        case PolicyWindowOpened() | PolicyWindowClosed() | ContextChanged():
             name = numbers.get(f"window:{fact.window}")
             return fact if name is None else replace(fact, window=name.partition(":")[2])
         case ObstructionAppeared() | ObstructionCleared():
-            name = numbers.get(fact.obstruction.replace("/", ":", 1))
+            name = numbers.get(_WHOLE[type(fact)](fact))
             return fact if name is None else replace(fact, obstruction=name.replace(":", "/", 1))
         case _:
             return fact

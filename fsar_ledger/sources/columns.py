@@ -76,8 +76,8 @@ def event_of(tag: object, columns: Mapping[str, Any]) -> Event:
             f"field {outcome}: found none, expected one in {kind}, since how it ended is never assumed; what nobody "
             "knows more of is an observation (Observed)"
         )
-    for name in sorted(PRINCIPALS & columns.keys()):
-        if isinstance(text := columns[name], str) and text not in ("", COORDINATOR) and "/" not in text:
+    for name, text in sorted(_without_kind(columns)):
+        if text not in ("", COORDINATOR):
             hint = value(f"{'supervisor' if name.startswith('supervis') else 'robot'}/{text}")
             raise UsageError(f"field {name}: found {value(text)} in {kind}, expected a kind and a name, as in {hint}")
     event = laid_out(layout, columns)
@@ -116,10 +116,17 @@ def laid_out(layout: StoredType, columns: Mapping[str, Any]) -> Event:
     return event
 
 
+def _without_kind(columns: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield the columns whose principal has no kind, and its name."""
+    for name, text in columns.items():
+        if name in PRINCIPALS and isinstance(text, str) and "/" not in text:
+            yield name, text
+
+
 def require_full_names(event: Event, robots: Collection[str]) -> None:
     """Raises: UsageError for `B1` if one of these robots is `robot/B1`: it would be recorded as another robot."""
-    for name, text in flat(event).items():
-        if name in PRINCIPALS and isinstance(text, str) and "/" not in text and f"robot/{text}" in robots:
+    for name, text in _without_kind(flat(event)):
+        if f"robot/{text}" in robots:
             raise UsageError(
                 f"field {name}: found {value(text)} in {type(event).__name__}, expected {value(f'robot/{text}')}, as "
                 "the fleet names it"

@@ -4,7 +4,7 @@ It is a function of constants, seed, scenario, run and fleet size; a designer's 
 constants. Each robot has its own streams, so an extra draw in one stream shifts no other.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from itertools import combinations, groupby
 from math import inf
@@ -52,7 +52,7 @@ def schedule(constants: Constants, seed: int, scenario: str, run: int, fleet_siz
     """Return all facts of the run in order of time, no two at the same microsecond."""
     key, design = run_key(seed, scenario, run), happening(constants, scenario)
     if isinstance(design, Workflow):
-        return _apart(workflow_facts(constants.world, key, design))
+        return apart(workflow_facts(constants.world, key, design))
     return _disturbed(constants, key, design, fleet_size)
 
 
@@ -137,19 +137,19 @@ def _disturbed(constants: Constants, key: bytes, scenario: Scenario, fleet_size:
         for command in scenario.commands
     ]
     facts.sort(key=lambda fact: fact[0])
-    return _apart(facts)
+    return apart(facts)
 
 
-def _apart(facts: list[Fact]) -> tuple[Fact, ...]:
-    """Move the facts so that no two share a microsecond, and drop those after the latest end of a run."""
-    apart: list[Fact] = []
+def apart(facts: Iterable[Fact], end_us: int = END_US) -> tuple[Fact, ...]:
+    """Move the facts, in order of time, so that no two share a microsecond, and drop those after `end_us`."""
+    spaced: list[Fact] = []
     last_us = 0
     for time_us, event in facts:
         last_us = max(time_us, last_us + 1)
-        if last_us > END_US:
+        if last_us > end_us:
             break
-        apart.append((last_us, event))
-    return tuple(apart)
+        spaced.append((last_us, event))
+    return tuple(spaced)
 
 
 def _mean_s(rate_per_s: float) -> float:
