@@ -56,6 +56,7 @@ VIOLATES = 24
 """A run of FSAR with one violation, which comes from a task and a window of policy."""
 
 
+@pytest.mark.slow
 def test_a_violated_policy_comes_from_a_task_and_a_window() -> None:
     base = again(simulated("fsar", VIOLATES))
     found = cause(base, VIOLATED)
@@ -74,6 +75,7 @@ def test_without_a_necessary_cause_the_forked_run_does_not_have_the_outcome() ->
         assert (metric(forked.record, "policy_violations") == 0) == one.is_necessary
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("architecture", "text"), [("cfc", "recovery_containment < 1"), ("dhma", "coordination_success < 1")]
 )
@@ -167,6 +169,7 @@ def test_lengths_can_be_causes_too() -> None:
     assert found.candidates > len(Search(base, VIOLATED).candidates)
 
 
+@pytest.mark.slow
 def test_a_length_is_taken_away_by_the_answer_that_its_law_has_in_the_middle() -> None:
     base = again(simulated("fsar"))
     record = base.base.record

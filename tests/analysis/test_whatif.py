@@ -75,6 +75,7 @@ def test_the_means_and_the_difference_are_those_of_the_runs(pairs: list[Pair]) -
             assert found.gain == pytest.approx((fork.var(ddof=1) + base.var(ddof=1)) / (fork - base).var(ddof=1))
 
 
+@pytest.mark.slow
 def test_where_few_pairs_differ_the_test_is_the_exact_sign_test(pairs: list[Pair]) -> None:
     found = effect(pairs, "policy_violations")
     base, fork = both_values(pairs, "policy_violations")
@@ -84,6 +85,7 @@ def test_where_few_pairs_differ_the_test_is_the_exact_sign_test(pairs: list[Pair
     assert found.p == pytest.approx(stats.binomtest(min(more, less), more + less).pvalue)
 
 
+@pytest.mark.slow
 def test_the_intervals_are_those_of_compare(pairs: list[Pair], tmp_path: Path) -> None:
     commit_pairs(tmp_path / "forks", pairs)
     compared = open_forks(tmp_path / "forks").compare("fsar+fork", "fsar")

@@ -114,6 +114,7 @@ def test_what_the_run_does_not_observe_is_said_where_it_is_asked_for() -> None:
     assert about == {(): sorted({*CONCERNS} - {"request", "trust"}), ("policy", "request"): ["policy"], ("trust",): []}
 
 
+@pytest.mark.slow
 def test_a_stream_goes_on_with_the_commits_that_come(ledger: Ledger, every_line: list[Row], copy: Path) -> None:
     before, pauses = ledger.head.size, 0
 
@@ -152,6 +153,7 @@ def follow_week(path: Path) -> Iterator[list[Row]]:
         yield from (table.rows() for table in Ledger(path).stream_log(pause=pause))
 
 
+@pytest.mark.slow
 def test_who_follows_a_long_run_is_told_each_line_from_what_is_new_and_what_was_carried_to_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

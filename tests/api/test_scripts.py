@@ -26,6 +26,7 @@ def test_a_script_runs_once_whatever_processes_it_starts(tmp_path: Path) -> None
     assert done.stdout.splitlines() == ["begun", "26 True [{'n': 26}]"]
 
 
+@pytest.mark.slow
 def test_a_script_that_asks_ends_without_a_word(ledger: fsar_ledger.Ledger) -> None:
     # What is kept until the end of the process keeps DuckDB's objects, too, which are then said to be leaked.
     script = f"import fsar_ledger\nledger = fsar_ledger.open_ledger({str(ledger.path)!r})\nledger.metrics()\n"

@@ -126,6 +126,7 @@ def test_what_is_known_of_a_shard_alone_is_known_of_it_in_the_federation(
     assert {path.name for path in seen} == {"west"}
 
 
+@pytest.mark.slow
 def test_each_answer_names_the_head_of_the_log(site: Path) -> None:
     federation, log = fsar_ledger.open_ledger(site / "log"), open_ledger(site / "log")
     assert (log.head.size, log.head.commits) == (3, 1)
@@ -135,6 +136,7 @@ def test_each_answer_names_the_head_of_the_log(site: Path) -> None:
         assert provenance.head.events == sum(open_ledger(site / name).head.size for name in NAMES)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("cached")
 def test_rows_are_verified_once_verify_has_looked_at_every_shard(site_copy: Path) -> None:
     federation = fsar_ledger.open_ledger(site_copy / "log")
@@ -176,6 +178,7 @@ def test_a_robot_alone_is_a_shard_beside_its_fleet(tmp_path: Path) -> None:
 # --- recording ---
 
 
+@pytest.mark.slow
 def test_recording_again_changes_nothing_until_a_shard_has_grown(site_copy: Path, runs: list[LedgerRun]) -> None:
     before = fsar_ledger.shards(site_copy / "log")
     assert (before.recorded, before.head.size) == ((), 3)

@@ -122,7 +122,7 @@ CLASSES: dict[Callable[[Path, list[LedgerRun]], None], str] = {
 }
 
 
-@pytest.mark.parametrize("harm", few(CLASSES, [lost, swapped, rewritten_and_shorter, replayed]))
+@pytest.mark.parametrize("harm", few(CLASSES, [lost, swapped, rewritten_and_shorter]))
 def test_what_is_wrong_with_a_shard_is_named_and_nothing_is_answered(
     site_copy: Path, runs: list[LedgerRun], harm: Callable[[Path, list[LedgerRun]], None]
 ) -> None:
@@ -173,6 +173,7 @@ def test_a_damaged_shard_is_found_by_its_own_verification(site_copy: Path) -> No
     assert str(problem).startswith(f"{site_copy / 'west'}/segments/")
 
 
+@pytest.mark.slow
 def test_another_model_version_is_named_and_never_pooled(site_copy: Path, runs: list[LedgerRun]) -> None:
     started = msgspec.structs.replace(runs[5].events[0], model_version="2")
     other = msgspec.structs.replace(runs[5], run_id="older model", events=[started, *runs[5].events[1:]])
@@ -209,6 +210,7 @@ def test_a_head_that_cannot_be_is_refused(site_copy: Path, change: dict[str, Any
     assert "expected a head with an origin" in problem.found
 
 
+@pytest.mark.slow
 def test_a_shard_whose_writer_was_interrupted_is_named_where_its_log_is_recovered(
     site_copy: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -40,7 +40,7 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("change", few(REFUSED, [*REFUSED][:1] + [*REFUSED][6:8]))
+@pytest.mark.parametrize("change", few(REFUSED, [*REFUSED][:1]))
 def test_what_is_refused_in_every_run_is_the_error_that_one_run_gives_and_names_that_run(
     call: Call, ledger: Path, tmp_path: Path, change: str
 ) -> None:
@@ -57,6 +57,7 @@ def test_what_is_refused_in_every_run_is_the_error_that_one_run_gives_and_names_
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_what_is_refused_in_some_runs_is_counted_with_its_reason_and_parts_none_of_them(
     call: Call, fleets: Path
 ) -> None:
@@ -115,6 +116,7 @@ def test_runs_of_several_constants_and_fleet_sizes_have_the_names_that_compare_h
             assert name in call("compare", ledger, "--first", "none").err
 
 
+@pytest.mark.slow
 def test_the_only_runs_of_an_architecture_are_named_by_it_alone(call: Call, ledger: Path) -> None:
     out = call("whatif", ledger, "--all-runs", "--change", "drop window:*").good().out
     assert [line.partition(": ")[0] for line in out.splitlines() if " of them diverge" in line] == [
@@ -124,6 +126,7 @@ def test_the_only_runs_of_an_architecture_are_named_by_it_alone(call: Call, ledg
     ]
 
 
+@pytest.mark.slow
 def test_of_several_changes_of_which_one_is_refused_in_every_run_nobody_says_that_none_has_an_effect(
     call: Call, fleets: Path
 ) -> None:
@@ -147,6 +150,7 @@ def fork_counts(call: Call, bases: Path, place: Path, *changes: str) -> list[boo
     return [one["parts_at"] is not None for one in told]
 
 
+@pytest.mark.slow
 def test_the_query_forks_counts_no_fork_that_differs_only_in_a_command_that_it_rejects(
     call: Call, fleets: Path, tmp_path: Path
 ) -> None:
@@ -157,6 +161,7 @@ def test_the_query_forks_counts_no_fork_that_differs_only_in_a_command_that_it_r
     assert fork_counts(call, fleets, tmp_path / "3", OF_EIGHT, "drop window:*") == [True] * 4
 
 
+@pytest.mark.slow
 def test_the_query_forks_counts_no_fork_that_differs_only_in_what_its_fleet_does_not_know_or_is_too_late(
     call: Call, fleets: Path, tmp_path: Path
 ) -> None:
@@ -171,6 +176,7 @@ def test_the_query_forks_counts_no_fork_that_differs_only_in_what_its_fleet_does
     assert late == [ended > late_us for ended in ends]
 
 
+@pytest.mark.slow
 def test_a_metric_that_no_pair_has_is_shown_with_the_number_of_its_pairs(call: Call, fleets: Path) -> None:
     words = ("whatif", fleets, "--all-runs", "--change", "drop task:A1-*")
     told = json.loads(call(*words, "--json").good().out)["effects"]

@@ -53,6 +53,7 @@ def test_the_version_is_told_without_typer() -> None:
     assert done.stdout == f"fsar-ledger {__version__}\nFalse\n"
 
 
+@pytest.mark.slow
 def test_a_command_answers_without_pandas_which_pyarrow_would_load(call: Call, ledger: Path, tmp_path: Path) -> None:
     (tmp_path / "pandas.py").write_text("raise SystemExit('pandas is loaded')")
     path = os.pathsep.join((str(tmp_path), *sys.path))
@@ -89,6 +90,7 @@ def test_info_tells_a_complete_ledger_from_one_that_lacks_runs(call: Call, ledge
     assert "not a rectangle: 1 run less than if each group had all runs" in call("info", uneven).out
 
 
+@pytest.mark.slow
 def test_metrics_have_the_agreed_columns_in_every_format(call: Call, ledger: Path) -> None:
     answer = json.loads(call("metrics", ledger, "--json").out)
     assert set(answer) == {"head", "rows_verified", "rows", "complete", "missing_count"}

@@ -55,6 +55,7 @@ def test_compare_says_that_human_intervention_is_a_share_of_runs(call: Call, led
     assert "human_intervention is the share of runs that called the fleet supervisor" in said
 
 
+@pytest.mark.slow
 def test_pairs_of_forks_and_bases_of_one_model_are_not_said_to_be_of_several(
     call: Call, ledger: Path, tmp_path: Path
 ) -> None:

@@ -84,6 +84,7 @@ def test_only_seeds_are_pooled(call: Call, unlike: Path, command: str) -> None:
     one_message(call(command, unlike, "--pool", "constants"), 2, "--pool constants: expected --pool seeds")
 
 
+@pytest.mark.slow
 def test_forks_are_not_counted_as_runs(call: Call, ledger: Path, tmp_path: Path) -> None:
     place = tmp_path / "forks"
     for runs in (("--all-runs", "--architecture", "fsar"), ("--run", "2")):

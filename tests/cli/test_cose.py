@@ -180,6 +180,7 @@ def test_only_a_statement_loads_the_library(folder: Path, tmp_path: Path) -> Non
         assert done.stdout.splitlines()[-1] == loaded
 
 
+@pytest.mark.slow
 def test_the_commands_in_the_page_about_trust_run(folder: Path, tmp_path: Path) -> None:
     pytest.importorskip("cbor2", reason="make test-all installs it")
     section = TRUST.read_text("utf-8").partition("\n## COSE receipts\n")[2].partition("\n## ")[0]

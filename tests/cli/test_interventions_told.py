@@ -17,6 +17,7 @@ def test_the_runs_with_an_intervention_are_the_share_that_metrics_print(ledger: 
     assert len({row["run_id"] for row in calls}) == sum(row["mean"] * row["n"] for row in shares) > 0
 
 
+@pytest.mark.slow
 def test_the_interventions_of_one_run_are_asked_for_by_its_number(call: Call, ledger: Path) -> None:
     opened = Ledger(ledger)
     calls = opened.query("interventions").rows()

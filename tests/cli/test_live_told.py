@@ -65,6 +65,7 @@ def test_why_tells_the_handler_and_what_it_read_for_a_command_that_was_rejected(
     assert "    execution.actions: [t/2.1] = absent" in lines[lines.index("read, and nothing had written it") :]
 
 
+@pytest.mark.slow
 def test_why_tells_which_rule_denied_and_which_events_let_a_request_be_admitted(call: Call, hall: Path) -> None:
     denied = call("why", hall, f"night:{seq_of(hall, 'night', 'RequestDenied')}", "--depth", "1").good().out
     opened = seq_of(hall, "night", "PolicyWindowOpened")
@@ -77,6 +78,7 @@ def test_why_tells_which_rule_denied_and_which_events_let_a_request_be_admitted(
     assert [(one["origin"], one["handler"]) for one in given["made"]] == [("command", None)]
 
 
+@pytest.mark.slow
 def test_what_if_tells_where_the_fork_ends_and_compares_nothing_after_it(call: Call, hall: Path) -> None:
     told = call("whatif", hall, "--run", "day", "--change", RULE).good().out
     assert "the fork ends at 12.000 s: nobody on record says whether robot/B1 takes t/2.2\n" in told
@@ -94,6 +96,7 @@ def test_what_if_tells_where_the_fork_ends_and_compares_nothing_after_it(call: C
     assert [(one["first"], one["second"]) for one in consequences["tasks"]] == [("completed", None)]
 
 
+@pytest.mark.slow
 def test_nothing_that_happens_after_the_end_of_the_fork_is_told_as_missing_in_it(call: Call, hall: Path) -> None:
     change = "drop command:ReportWindow/0"  # the door takes the first request, and nobody says when it begins
     answer = json.loads(call("whatif", hall, "--run", "night", "--change", change, "--json").good().out)
@@ -160,6 +163,7 @@ def test_what_cannot_be_asked_of_a_live_run_is_refused_in_words(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_simulated_run_needs_no_model_and_takes_commands(call: Call, ledger: Path) -> None:
     asked = ("whatif", ledger, "--run", "1", "--change", "drop window:*", "--answers", "model:7")
     assert "found a simulated run, whose world answers everything" in call(*asked).err
@@ -190,6 +194,7 @@ def test_a_command_that_cannot_come_to_a_simulated_run_is_refused_in_words(
     one_message(called, 2, said)
 
 
+@pytest.mark.slow
 def test_a_run_with_a_command_that_was_added_is_kept_and_replays(call: Call, ledger: Path, tmp_path: Path) -> None:
     change = 'add 20s {"command": "LeaveFleet", "by": "robot/D1", "robot": "robot/D1"}'
     call("whatif", ledger, "--run", "1", "--change", change, "--out", tmp_path / "forks").good()
@@ -212,6 +217,7 @@ def test_the_cause_of_a_denial_is_unknown_where_nobody_says_how_the_run_would_go
     assert "futures that avoid it" not in text
 
 
+@pytest.mark.slow
 def test_with_a_model_the_rule_is_the_cause_of_the_denial(call: Call, hall: Path) -> None:
     asked = ("cause", hall, "--run", "night", "--outcome", DENIAL, "--answers", "model:7")
     told = json.loads(call(*asked, "--json").good().out)

@@ -148,6 +148,7 @@ def test_follow_shows_what_another_process_commits(growing: Path) -> None:
     assert err.splitlines()[-1].startswith("fsar-ledger: interrupted; ")
 
 
+@pytest.mark.slow
 def test_follow_ends_when_its_reader_has_gone(growing: Path) -> None:
     with following(growing, "--json") as process:
         read(process, Ledger(growing).head.size)

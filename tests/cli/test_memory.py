@@ -162,6 +162,7 @@ def test_too_little_memory_is_no_damage() -> None:
         pass
 
 
+@pytest.mark.slow
 def test_a_command_over_a_ledger_of_its_size_stays_within_it(ledger: Path, tmp_path: Path) -> None:
     cost = cost_of(["metrics", str(ledger), "--memory", "256"], tmp_path)
     assert cost.code == 0

@@ -89,6 +89,7 @@ def test_metrics_shows_no_number_but_how_many_runs_are_not_observed(call: Call, 
     assert json.loads(call("statistics", members, "--json").out)["rows"] == []
 
 
+@pytest.mark.slow
 def test_runs_without_a_scenario_are_named_where_rows_are_by_scenario(call: Call, members: Path, ledger: Path) -> None:
     asked, left_out = ("metrics", members, "--by", "scenario"), "1 run without a scenario is in no row"
     assert call(*asked).out == f"(no rows)\n\n{left_out}\n"

@@ -216,6 +216,7 @@ def test_a_ledger_or_folder_of_any_name_is_made_there_and_nowhere_else(
     assert {path.name for path in tmp_path.iterdir()} == {ALL_IN_ONE, damaged.name}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("here")
 def test_a_printed_command_can_be_pasted(call: Call) -> None:
     for name in (*NAMES, ALL_IN_ONE):

@@ -60,6 +60,7 @@ def test_the_same_run_has_no_differences_and_two_have_a_story(call: Call, ledger
     assert call("diff", ledger, "1", "1", "--other", str(ledger / "none")).code == 2
 
 
+@pytest.mark.slow
 def test_a_fork_is_told_kept_and_replays(call: Call, ledger: Path, tmp_path: Path) -> None:
     place = tmp_path / "forks"
     answer = call("whatif", ledger, "--run", "1", "--change", "drop window:*", "--out", place).good()
@@ -154,6 +155,7 @@ def test_where_nothing_is_a_cause_the_point_of_no_return_comes_first(call: Call,
     assert (told["elements"], len(told["presupposed"]), told["also_necessary"]) == ([], 1, [])
 
 
+@pytest.mark.slow
 def test_a_pair_without_a_value_does_not_disagree(call: Call, ledger: Path) -> None:
     changed = ("--change", "drop task:*", "--architecture", "fsar")
     answer = call("bisect", ledger, *changed, "--outcome", "coordination_success > 0").good()

@@ -5,6 +5,8 @@ import io
 import json
 from pathlib import Path
 
+import pytest
+
 from fsar_ledger import record
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.envelope import Architecture
@@ -31,6 +33,7 @@ def appended(path: Path, *runs: LedgerRun) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_compare_says_what_is_paired_before_the_numbers(call: Call, ledger: Path) -> None:
     table = call("compare", ledger, "--first", "fsar", "--second", "cfc")
     lines = table.out.splitlines()
@@ -53,6 +56,7 @@ def test_compare_says_what_is_paired_before_the_numbers(call: Call, ledger: Path
     assert [row["n"] for row in rows][: len(published_metrics())] == ["4"] * len(published_metrics())
 
 
+@pytest.mark.slow
 def test_two_ledgers_are_compared_each_with_its_head(call: Call, ledger: Path, tmp_path: Path) -> None:
     one_run = ("--architecture", "fsar", "--scenario", "door-relay", "--runs", "1", "--seed", "7")
     call("simulate", tmp_path / "more", *one_run, "--fleet-size", "8")
@@ -63,6 +67,7 @@ def test_two_ledgers_are_compared_each_with_its_head(call: Call, ledger: Path, t
     assert any("the fleets differ in size (4 and 8 robots)" in line for line in answer["remarks"])
 
 
+@pytest.mark.slow
 def test_recordings_are_in_no_pair_and_nobody_is_told_to_simulate_them(call: Call, tmp_path: Path) -> None:
     for name in ("hall", "yard"):
         with record(tmp_path / name, run=name, observes=["ExecutionStarted"]):
@@ -98,6 +103,7 @@ def test_compare_refuses_what_it_cannot_tell(call: Call, ledger: Path) -> None:
     one_message(call("compare", ledger, "--by", "robot"), 2, "--by robot: expected --by scenario")
 
 
+@pytest.mark.slow
 def test_bisect_and_compare_tell_alike_of_runs_without_a_partner(call: Call, tmp_path: Path) -> None:
     sides = ("--first", "fsar", "--second", "cfc")
     runs = (begun("one", "fsar", 0), begun("its pair", "cfc", 0), begun("two", "fsar", 1), begun("three", "fsar", 2))
@@ -110,6 +116,7 @@ def test_bisect_and_compare_tell_alike_of_runs_without_a_partner(call: Call, tmp
         assert (answer["first_alone"], answer["second_alone"]) == (2, 1)
 
 
+@pytest.mark.slow
 def test_of_several_runs_of_one_world_bisect_takes_none(call: Call, tmp_path: Path) -> None:
     twins = (begun("one", "fsar", 0), begun("other", "fsar", 0), begun("its pair", "cfc", 0))
     sides = ("--first", "fsar", "--second", "cfc")

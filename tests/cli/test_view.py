@@ -44,6 +44,7 @@ def test_the_words_are_those_of_log(ledger: Path, call: Call, tmp_path: Path) ->
     assert told == [[line[name] for name in ("sender", "receiver", "message", "note", "action_id")] for line in lines]
 
 
+@pytest.mark.slow
 def test_two_runs_say_where_they_part(ledger: Path, call: Call, tmp_path: Path) -> None:
     out = tmp_path / "two.html"
     said = call("view", ledger, "--run", 1, "--with", 2, "--out", out)

@@ -125,6 +125,7 @@ def test_a_table_of_delta_and_a_file_of_events_have_rows_as_stored(
     assert halls[1].export(tmp_path / "table", format="delta").row_count == len(rows)
 
 
+@pytest.mark.slow
 def test_all_events_and_all_lines_are_those_of_one_run(
     halls: tuple[fsar_ledger.Ledger, fsar_ledger.Ledger],
 ) -> None:

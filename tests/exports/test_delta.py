@@ -76,6 +76,7 @@ def test_where_there_can_be_no_links_there_are_copies_and_the_answer_says_so(
     assert polars.read_delta(str(tmp_path / "table")).height == growing.head.size
 
 
+@pytest.mark.slow
 def test_the_metrics_of_the_table_are_those_of_the_ledger(table: tuple[Path, Any], growing: fsar_ledger.Ledger) -> None:
     rows = deltalake.DeltaTable(table[0]).to_pyarrow_table().select(SCHEMA.names).cast(SCHEMA)
     with from_table(rows.sort_by([("run_id", "ascending"), ("seq", "ascending")])) as database:

@@ -58,6 +58,7 @@ def test_each_bomb_meets_commands_in_turn_and_each_command_several_bombs() -> No
     assert {call for call in READERS if met[call] < 2} == set()
 
 
+@pytest.mark.slow
 def test_a_bomb_ends_in_a_clear_error_in_little_time_and_memory(intact: Path, tmp_path: Path) -> None:
     explode(ENOUGH, intact, tmp_path, BOMBS[ENOUGH].calls[:2])
 

@@ -284,6 +284,7 @@ def test_a_reader_refuses_a_ledger_whose_chain_was_cut(path: Path) -> None:
     assert not verify(path).ok
 
 
+@pytest.mark.slow
 def test_a_reader_proves_any_event_while_the_pack_lacks_what_an_interrupted_append_leaves_out(path: Path) -> None:
     with Writer(path, ORIGIN, SIGNER) as writer:
         writer.seal()

@@ -123,6 +123,7 @@ def test_a_checkpoint_outlives_no_power_failure_that_takes_the_files_before_it(t
     assert laboratory.tally.complaints == []
 
 
+@pytest.mark.slow
 def test_the_room_of_a_journal_that_could_not_be_synced_is_given_up(tmp_path: Path) -> None:
     laboratory = Laboratory(tmp_path)
     root = tmp_path / "calls"

@@ -63,6 +63,7 @@ def test_a_malformed_document_is_refused_by_every_command(
             Writer(path, ORIGIN)
 
 
+@pytest.mark.slow
 def test_a_record_of_what_cannot_be_is_refused_by_every_command(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = (path / CHAIN).read_bytes().splitlines(keepends=True)
     for at, line in enumerate(lines[:2]):  # a commit and a placement, with more behind them

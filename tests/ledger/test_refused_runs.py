@@ -107,6 +107,7 @@ def test_closed_lists_are_the_same_for_writer_and_verifier() -> None:
         assert expected in str(first_flaw(changed(table, field.name, 0, "perhaps")))
 
 
+@pytest.mark.slow
 def test_a_row_by_itself_has_the_values_of_its_type_and_no_other() -> None:
     """As in a journal, of which each commit is looked at by itself."""
     rows, values = encode([RUN]), {"string": "text", "integer": 1, "boolean": True, "strings": ["text"]}

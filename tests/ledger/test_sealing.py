@@ -189,6 +189,7 @@ def test_a_journal_that_is_renamed_between_two_looks_is_read_once(tmp_path: Path
         assert rows_in(path) == ROWS[:4]
 
 
+@pytest.mark.slow
 def test_a_reader_beside_a_writer_that_never_rests_gets_an_answer(tmp_path: Path) -> None:
     path = tmp_path / "ledger"
     run = made_up_run("never-rests", 40, 3)
@@ -220,6 +221,7 @@ def test_a_placement_that_is_lost_takes_nothing_of_the_journal_with_it(chained: 
     assert judged(Case("without its placement", chained, False)).difference == ""
 
 
+@pytest.mark.slow
 def test_a_writer_keeps_nothing_of_commits_that_segments_hold_and_appends_the_same(tmp_path: Path) -> None:
     whole = made_up_run("r", 2_400, 1)
     path = tmp_path / "ledger"

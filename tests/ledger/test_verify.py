@@ -39,6 +39,7 @@ def test_an_intact_ledger_verifies_and_is_counted(path: Path) -> None:
     assert report.root == open_ledger(path).head.root
 
 
+@pytest.mark.slow
 def test_workers_find_the_same_and_progress_is_told(intact: Path, tmp_path: Path) -> None:
     path = Path(shutil.copytree(intact, tmp_path / "ledger"))
     told: list[tuple[int, int]] = []

@@ -156,6 +156,7 @@ def test_after_an_append_only_what_came_since_is_judged_and_compaction_forgets_n
     assert len(set(seen)) <= 2
 
 
+@pytest.mark.slow
 def test_a_part_may_end_with_the_end_of_a_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     day = Day(tmp_path / "ledger")
     for count in range(1, 7):

@@ -34,6 +34,7 @@ def test_every_query_with_parameters_can_be_called_by_any_sql(ledger: Path) -> N
         assert answer == {name: len(database.query(name, required(query))) for name, query in MACROS.items()}
 
 
+@pytest.mark.slow
 def test_a_run_is_given_by_name_or_number_and_one_that_is_not_on_record_is_said(ledger: Path) -> None:
     sql = "SELECT run_id FROM decision_owner(seq := 1, {})"
     (by_number,) = run_untrusted(ledger, sql.format("run := 1")).rows
@@ -42,11 +43,13 @@ def test_a_run_is_given_by_name_or_number_and_one_that_is_not_on_record_is_said(
         run_untrusted(ledger, sql.format("run := 99"))
 
 
+@pytest.mark.slow
 def test_a_table_that_is_a_macro_is_said_to_be_called(ledger: Path) -> None:
     with pytest.raises(QueryFailed, match=r"takes parameters: .*action = all.* as in FROM denials\(\)"):
         run_untrusted(ledger, "SELECT * FROM denials")
 
 
+@pytest.mark.slow
 def test_the_tables_are_shown_with_their_parameters_whatever_was_read_before(ledger: Path) -> None:
     (shown,) = run_untrusted(ledger, "SELECT list(name ORDER BY name) AS names FROM (SHOW TABLES)").rows
     assert shown["names"] == sorted(["events", *library().relations])

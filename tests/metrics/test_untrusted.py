@@ -49,6 +49,7 @@ def test_too_few_open_files_are_said_and_no_reason_to_look_for_damage(
         run_untrusted(ledger, "SELECT count(*), max(run_id) FROM events")
 
 
+@pytest.mark.slow
 def test_several_may_ask_at_once(ledger: Path) -> None:
     answers: list[int] = []
 

@@ -260,6 +260,7 @@ def test_an_action_that_is_asked_for_again_is_one_link_as_it_was_asked_last() ->
     ]
 
 
+@pytest.mark.slow
 def test_a_chain_whose_link_still_waits_for_an_answer_is_not_malformed() -> None:
     admitted = judged(6, "q2", "Admitted", "C1", **ADMITTED)
     cases: tuple[tuple[tuple[Row, ...], bool | None], ...] = (

@@ -32,6 +32,7 @@ def database() -> Iterator[Database]:
         yield opened
 
 
+@pytest.mark.slow
 def test_an_effect_is_that_of_the_pairs_that_were_drawn(database: Database) -> None:
     pairs = pl.DataFrame(
         database.table(

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import pytest
+
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.policy import PolicyRuleSet
 from fsar_ledger.events.supervision import SupervisionDensitySet
@@ -48,6 +50,7 @@ def silent_denial(state: Any, command: EvaluateRequest) -> tuple[Any, ...]:
     return tuple(one for one in evaluate_request(state, command) if type(one).__name__ != "PolicyConflictEscalated")
 
 
+@pytest.mark.slow
 def test_in_runs_with_interventions_the_invariants_hold_until_starts_ignore_a_rule_that_denies() -> None:
     counts, mutated = audited(), audited(HandlerTable({**FSAR.decides, StartAction: unchecked_start}, FSAR.reacts))
     assert {name for name, events in counts.items() if events} <= {"i5", "violations"}

@@ -60,6 +60,7 @@ def test_a_reading_changes_what_it_says(relations: Relations, name: str) -> None
     assert means(relations, metric, name)[name] == pytest.approx(theirs)
 
 
+@pytest.mark.slow
 def test_a_reading_changes_no_other_metric(relations: Relations) -> None:
     elsewhere = [
         (one.name, metric)

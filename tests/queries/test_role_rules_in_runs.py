@@ -3,6 +3,8 @@
 from collections import Counter
 from itertools import product
 
+import pytest
+
 from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.policy import RolePolicyRuleSet
@@ -55,6 +57,7 @@ def offences(database: Database) -> dict[tuple[str, str], int]:
     return dict(Counter(found))
 
 
+@pytest.mark.slow
 def test_in_a_commanded_run_the_role_is_ruled_the_exception_is_not_and_the_queries_agree_at_every_moment() -> None:
     one = played(COMMANDS)
     began = {event.subject.action_id for _, event in of(one, ExecutionStarted)}

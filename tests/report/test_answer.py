@@ -154,6 +154,7 @@ def test_what_turns_without_a_mechanism_is_named() -> None:
         assert "mechanisms" not in part(page(differences=[CONTAINMENT_LOST | kept]), "claims")["keys"]
 
 
+@pytest.mark.slow
 def test_the_study_of_rankings_says_what_is_structure_and_what_hangs_on_constants() -> None:
     assert {"best", "prior", "around"}.isdisjoint(part(page(), "claims")["keys"])
     studies = robustness_relations(prior(policy_violations=94, coordination_success=100), ensemble(10))
@@ -229,6 +230,7 @@ def test_the_results_of_the_studies_are_read_where_they_are_of_the_runs(tmp_path
     assert read(model_version="0") == (0, 0, 0)
 
 
+@pytest.mark.slow
 def test_the_negative_control_stands_beside_the_tests(findings: Findings) -> None:
     assert "negative-control" not in names(Document(findings), "table")
     tests = (("governance_locality", "p"), ("governance_locality", "wilcoxon_p"), ("any", "p_holm"))
@@ -254,6 +256,7 @@ def test_what_must_be_known_before_stands_first(findings: Findings, document: Do
     assert names(document, "figure")[0] == "overview"
 
 
+@pytest.mark.slow
 def test_every_number_is_counted_once_by_table_and_class() -> None:
     numbers = [
         *(number(outcome=STANDS, kind="fitted"), number(outcome=FAILS, kind="fitted")),
@@ -289,6 +292,7 @@ def test_what_the_papers_own_text_excludes_does_not_come_out_whatever_the_runs_s
     assert outcome_of("cannot follow", gives) == FAILS
 
 
+@pytest.mark.slow
 def test_no_number_counts_as_fitted_where_the_fit_was_of_another_model_or_judged_by_unknown_queries(
     findings: Findings,
 ) -> None:

@@ -178,6 +178,7 @@ def test_the_first_page_says_which_rule_denied(gates: dict[str, Path]) -> None:
     assert "No execution or motion began against policy" in told
 
 
+@pytest.mark.slow
 def test_the_words_change_with_the_data(gates: dict[str, Path]) -> None:
     told = words(audit_of(gates["free"]))
     assert "under FSAR, CFC, DHMA" in told
@@ -223,6 +224,7 @@ def test_a_sum_over_runs_of_which_one_does_not_record_it_is_blank(tmp_path: Path
     assert column(document, "departures", "away") == column(document, "departures", "cleared") == [None]
 
 
+@pytest.mark.slow
 def test_what_some_runs_observe_is_said_of_those_runs(foreign: Path) -> None:
     document = audit_of(foreign)
     watching = sum(document.findings.relations["runs"]["observes_requests"].to_pylist())
@@ -244,6 +246,7 @@ def test_every_verdict_is_that_of_audit(foreign: Path, gates: dict[str, Path]) -
         assert {short for short, row in shown.items() if row[3].value is not None} == verdicts
 
 
+@pytest.mark.slow
 def test_one_day_stands_beside_another_and_what_is_not_recorded_is_a_dash(tmp_path: Path) -> None:
     for day, types in ((1, ["TaskArrived", "TaskCompleted"]), (2, ["TaskArrived"])):
         begins = datetime(2026, 3, day, 10, tzinfo=UTC)
@@ -259,6 +262,7 @@ def test_one_day_stands_beside_another_and_what_is_not_recorded_is_a_dash(tmp_pa
     ]
 
 
+@pytest.mark.slow
 def test_every_number_is_that_of_its_query(gates: dict[str, Path]) -> None:
     for ledger in gates.values():
         document, asked = audit_of(ledger), open_ledger(ledger)
@@ -293,6 +297,7 @@ def test_the_events_of_the_annex_are_those_of_the_query(gates: dict[str, Path]) 
         assert mine <= there
 
 
+@pytest.mark.slow
 def test_a_ledger_of_many_findings_stays_short_and_says_what_lists_the_rest(ledger: Path) -> None:
     document = audit_of(ledger)
     assert len(part(document, "violations")["rows"]) == 25
@@ -339,6 +344,7 @@ def test_every_part_reads_what_is_there_and_every_query_is_packaged(ledger: Path
     assert all(one.caption for one in tables)
 
 
+@pytest.mark.slow
 def test_names_from_a_ledger_are_text(tmp_path: Path) -> None:
     """What a foreign system calls its ledger, runs and robots is neither markup nor code."""
     evil = tmp_path / '#panic("evaluated") *bold* {x}'

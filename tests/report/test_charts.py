@@ -25,6 +25,7 @@ def bar(value: float | None = 0.5, **other: Any) -> dict[str, Any]:
     return {**named, "value": value, "low": 0.4, "high": 0.6, **other}
 
 
+@pytest.mark.slow
 def test_bars_name_their_panels_series_and_what_has_no_value() -> None:
     rows = [bar(), bar(None, series="cfc", category="CFC", low=None, high=None), bar(panel="Audit")]
     drawn = figures.bars(BARS, rows)
@@ -93,6 +94,7 @@ def test_what_goes_beyond_the_edge_has_an_arrow_there(kind: str) -> None:
     assert drawn(900) == drawn(950), "it stays within the figure"
 
 
+@pytest.mark.slow
 def test_the_figures_of_the_report_show_its_numbers() -> None:
     def drawings(**ours: float) -> dict[str, bytes]:
         numbers = results(**ours)

@@ -177,6 +177,7 @@ def cost(architecture: str, robots: int, completed: float) -> dict[str, Any]:
     }
 
 
+@pytest.mark.slow
 def test_the_cost_of_coordination_says_where_an_architecture_breaks() -> None:
     rows = [cost(name, size, 0.4 if name == "cfc" else 1.0) for size in (4, 64) for name in ("fsar", "cfc", "dhma")]
     document = Document(made(costs=rows))
@@ -193,6 +194,7 @@ def carried(rows: list[dict[str, Any]]) -> dict[tuple[str, str], dict[str, Any]]
     return {(metric, name): dict(zip(keys, rest, strict=True)) for metric, name, *rest in columns}
 
 
+@pytest.mark.slow
 def test_a_cell_is_carried_by_the_mechanism_that_moves_it_furthest_of_those_that_stand(taken_out: Part) -> None:
     rows = taken_out.relations["differences"].to_pylist()
     cell = "audit_attributability", "cfc"

@@ -131,6 +131,7 @@ def widest_gap(page: Any) -> float:
     return float(np.diff([-1, *marked, height]).max() - 1) / height
 
 
+@pytest.mark.slow
 def test_what_the_first_page_has_no_room_for_is_followed_by_the_rest(findings: Findings, tmp_path: Path) -> None:
     for notes, pages in ((0, (1, 2)), (12, (2, 2))):
         noted = msgspec.structs.replace(findings, differing=("a long note. " * 12,) * notes)
@@ -230,6 +231,7 @@ def test_every_part_of_every_section_is_shown_by_a_report_with_everything(whole:
         assert document.missing(sql) <= of_studies, sql
 
 
+@pytest.mark.slow
 def test_a_text_names_only_what_is_shown(make_ledger: Callable[..., Path]) -> None:
     """Larger fleets alone have no figure of costs by size; the sentence on costs stands without it."""
     document = Document(gather(make_ledger(fleet_size=8)))

@@ -156,6 +156,7 @@ def test_an_exported_file_holds_no_formula_unless_asked(tmp_path: Path) -> None:
             assert painted(out.read_text("utf-8")[:200_000].rpartition("\n")[0]) == []
 
 
+@pytest.mark.slow
 def test_the_report_reads_no_payload_as_markup(findings: Findings) -> None:
     """A payload that were evaluated would stop the typesetter: it panics, or leaves something open."""
     hostile = {f"{payload[:200]} {number}": payload for number, payload in enumerate(PAYLOADS[:40])}

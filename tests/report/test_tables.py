@@ -194,6 +194,7 @@ def test_a_cell_that_a_single_constant_carries_is_judged_as_any_other(findings: 
     assert None not in judged
 
 
+@pytest.mark.slow
 def test_runs_of_other_settings_stand_in_their_own_table(make_ledger: Make) -> None:
     made_otherwise = make_ledger(architectures=("fsar",), configuration="without-shared-registry", fleet_size=8)
     document = Document(gather(made_otherwise))

@@ -274,6 +274,7 @@ def test_names_of_what_is_forgotten_are_not_used_again(brief: None) -> None:
     assert taken(shift, submitted("own-c", A, f"A {DOOR} B"))
 
 
+@pytest.mark.slow
 def test_a_name_that_was_forgotten_too_is_a_new_one_and_an_old_timer_does_not_end_its_task(brief: None) -> None:
     shift = Shift().play(completed("first"))
     with patch("fsar_ledger.runtime.kernel.is_idle", return_value=False):  # the timer of the first stays

@@ -110,6 +110,7 @@ def test_who_is_not_known_is_on_record_as_nobody_and_not_as_an_empty_name() -> N
     assert (known, path) == ("robot/a", ("robot/a",))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("architecture", "configuration", "carried"),
     [

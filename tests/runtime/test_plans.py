@@ -207,6 +207,7 @@ def test_a_forged_plan_is_a_doubt_of_a_replayed_ledger(tmp_path: Path) -> None:
     assert (report.ok, report.runs, [one.field for one in report.differences]) == (False, 0, ["run_id"])
 
 
+@pytest.mark.slow
 def test_shards_of_an_experiment_have_the_runs_of_the_whole_one(tmp_path: Path) -> None:
     def runs(name: str, count: int, first: int = 0) -> list[LedgerRun]:
         ledger = fsar_ledger.simulate(

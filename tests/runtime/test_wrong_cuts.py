@@ -135,6 +135,7 @@ def test_what_does_not_follow_is_not_written(
     assert wrong(case, parts)[1] in str(refused.value)
 
 
+@pytest.mark.slow
 def test_what_does_not_follow_is_found_in_segments(parts: list[LedgerRun], tmp_path: Path) -> None:
     for case in CASES:
         runs, said = wrong(case, parts)

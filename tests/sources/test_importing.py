@@ -85,6 +85,7 @@ def test_a_run_says_which_adapter_read_what_and_how_much_of_it_until_when(tmp_pa
     assert (closed["until_us"], closed["record_count"]) == (16_000_000, 16)
 
 
+@pytest.mark.slow
 def test_a_file_that_is_on_file_under_another_name_is_said_to_be(call: Call, tmp_path: Path) -> None:
     out = str(tmp_path / "out")
 

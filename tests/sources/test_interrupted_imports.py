@@ -113,6 +113,7 @@ def test_two_imports_of_one_run_at_once_lose_and_double_nothing(
     assert is_good(tmp_path / "ledger")
 
 
+@pytest.mark.slow
 def test_a_full_disk_ends_an_import_which_goes_on_later(call: Call, tmp_path: Path) -> None:
     night = filed(tmp_path, vda.long_night(900))
 

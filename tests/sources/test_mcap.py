@@ -59,6 +59,7 @@ def test_logs_and_service_events_say_what_they_are(tmp_path: Path) -> None:
     assert {"foxglove.Log/ERROR", "nav_msgs/action/Dock_SendGoal_Event/REQUEST_RECEIVED"} <= found
 
 
+@pytest.mark.slow
 def test_an_honest_night_has_no_offence_and_a_stranger_breaks_i1(call: Call, tmp_path: Path) -> None:
     night = filed(tmp_path, bags.written([*bags.honest_night(), bags.statuses("r2", (3, 1))]), "night.mcap")
     for run, robots in (("honest", 'r1 = "agv"\nr2 = "agv"'), ("stranger", 'r1 = "agv"')):

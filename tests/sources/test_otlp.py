@@ -91,6 +91,7 @@ def test_what_follows_does_not_depend_on_the_order_of_arrival(imported: Import) 
     assert sorted(said(imported(lines))) == sorted(said(imported(lines[::-1], "other")))
 
 
+@pytest.mark.slow
 def test_names_of_protobuf_and_one_document_of_many_lines_say_the_same(imported: Import, tmp_path: Path) -> None:
     import json
 
@@ -285,6 +286,7 @@ def test_the_command_of_the_page_prints_what_the_page_shows(
     assert printed_otherwise("otlp.md", capsys) == []
 
 
+@pytest.mark.slow
 def test_a_trace_file_that_was_read_while_a_line_was_written_is_taken_further(imported: Import) -> None:
     whole = written(honest_day())
     for end in (len(whole) // 3, len(whole) // 2, len(whole)):

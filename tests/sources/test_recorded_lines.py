@@ -111,6 +111,7 @@ def test_the_fleet_of_a_file_may_have_dotted_names(tmp_path: Path) -> None:
     assert joined == ["robot/KIT.0001", "robot/KIT.0002"]
 
 
+@pytest.mark.slow
 def test_an_action_whose_beginning_is_not_on_record_is_marked(tmp_path: Path, call: Call) -> None:
     action = {"task_id": "t", "action_id": "t/1", "robot": "robot/door", "time": "2090-01-01T00:00:01"}
     lines = json.dumps({"type": "ExecutionResumed", **action}).encode()

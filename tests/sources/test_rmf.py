@@ -334,6 +334,7 @@ def test_an_empty_recording_has_no_records() -> None:
     assert records(b"") == []
 
 
+@pytest.mark.slow
 def test_the_example_of_the_page_tells_who_asked_and_who_cancelled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -204,6 +204,7 @@ def small(question: Question) -> Answer:
     return tuple(published()[cell].value + MARGINS[cell[0]] * float(point.sum()) for cell in CELLS)
 
 
+@pytest.mark.slow
 def test_the_record_of_a_small_fit_is_complete_and_an_interruption_changes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

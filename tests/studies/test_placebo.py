@@ -22,6 +22,7 @@ from tests.quick import few
 QUESTION = Question(Setting(Constants(), 4), 9, 3)
 
 
+@pytest.mark.slow
 def test_on_the_same_seeds_nothing_differs() -> None:
     assert on_same_seeds(QUESTION) == (15, 0.0)
 

@@ -154,6 +154,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work(tmp_path: Pat
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder.json"]
 
 
+@pytest.mark.slow
 def test_the_simulator_answers_every_cell_and_a_constant_of_one_architecture_moves_no_other() -> None:
     base = evaluate(Question(setting(factors(), {}), 1, 1))
     moved = evaluate(

@@ -97,6 +97,7 @@ def test_an_answer_has_every_metric_grade_and_share(architecture: str, monkeypat
     assert found[0] == 2 * 2 * 5  # runs in which success is defined
 
 
+@pytest.mark.slow
 def test_a_dial_reaches_its_architecture() -> None:
     slow = with_values(Constants(), {"alliance.impatience_us": 15_000_000})
     impatient, patient = (

@@ -72,6 +72,7 @@ def test_events_of_more_than_three_fields_beside_their_parts_take_keywords_only(
         assert (inspect.Parameter.POSITIONAL_OR_KEYWORD in kinds) <= (len(fields) <= 3), cls.__name__
 
 
+@pytest.mark.slow
 def test_a_swap_that_types_do_not_show_is_found_by_a_run() -> None:
     runs = expected(islice(histories(), 1))
     assert shows(named("handlers/request.py:"), runs)
@@ -85,5 +86,6 @@ def test_a_robot_in_the_place_of_a_supervisor_is_found_by_types() -> None:
     assert untyped([named("Parties: executed_by, supervised_by")]) == []
 
 
+@pytest.mark.slow
 def test_the_runs_of_the_soak_are_those_that_are_pinned() -> None:
     assert digest() == PINNED

@@ -205,6 +205,7 @@ def test_a_silent_witness_counts_as_missing_and_costs_seconds(place: Place, monk
     assert time.monotonic() - began < 30  # although the liar never answers
 
 
+@pytest.mark.slow
 def test_a_witness_that_is_killed_again_and_again_never_forgets_what_it_answered(tmp_path: Path) -> None:
     log = log_of.Log(2_000)
     new_state(tmp_path / "w", "example.org/w")
@@ -245,6 +246,7 @@ def grow(url: str, log: log_of.Log, answered: list[int]) -> None:
         connection.close()
 
 
+@pytest.mark.slow
 def test_a_witness_has_one_process_and_ends_when_it_is_told_to(place: Place) -> None:
     assert place.first.url.startswith("http://127.0.0.1:")
     second = in_a_process("witness", "serve", place.folder / "w1", "--log", place.folder / "log.pub")

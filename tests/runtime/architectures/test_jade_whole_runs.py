@@ -74,6 +74,7 @@ def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_run_is_told_by_every_command(ledger: Path) -> None:
     assert "replayed: all" in ask("verify", ledger, "--replay").good().out
     log = ask("log", ledger, "--run", "r0001").good().out
