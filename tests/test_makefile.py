@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.quick import few
+
 ROOT = Path(__file__).resolve().parents[1]
 RECORDER = f"""#!{sys.executable}
 import json, sys
@@ -18,8 +20,11 @@ with open("calls", "a") as calls:
 """
 
 
+TARGETS = ("reproduce", "soak-sensitivity", "fleets", "bench", "clean")
+
+
 @pytest.mark.parametrize("out", ["my out", 'it\'s "mine"; *', "~"])
-@pytest.mark.parametrize("target", ["reproduce", "soak-sensitivity", "fleets", "bench", "clean"])
+@pytest.mark.parametrize("target", few(TARGETS, ["reproduce", "clean"]))
 def test_the_output_goes_into_the_folder_that_was_named(tmp_path: Path, target: str, out: str) -> None:
     shutil.copy(ROOT / "Makefile", tmp_path)
     (tmp_path / "bin").mkdir()

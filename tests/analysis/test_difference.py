@@ -108,6 +108,7 @@ def test_of_a_run_that_ends_before_all_has_happened_no_more_is_told_than_had_com
     assert late, "some run has a verdict later than that"
 
 
+@pytest.mark.slow
 def test_what_a_run_does_not_observe_is_not_said_to_be_of_the_other_alone() -> None:
     run = simulated("cfc", 0)
     started = run.events[0]

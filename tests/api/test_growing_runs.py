@@ -60,6 +60,7 @@ def test_every_answer_is_that_of_whole_runs(both: tuple[Ledger, Ledger]) -> None
     assert [row.holds for row in pieces.audit().rows] == [row.holds for row in whole.audit().rows]
 
 
+@pytest.mark.slow
 def test_events_of_runs_that_took_turns_are_those_of_whole_runs(both: tuple[Ledger, Ledger]) -> None:
     whole, pieces = both
     for run in RUNS:

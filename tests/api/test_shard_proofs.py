@@ -169,6 +169,7 @@ def test_a_receipt_has_one_step(site: Path, tmp_path: Path) -> None:
         fsar_ledger.open_ledger(site / "log").prove(3, tmp_path / "proof.cose", format="cose", key=tmp_path / "key")
 
 
+@pytest.mark.slow
 def test_a_log_is_witnessed_and_verified_by_others_as_any_ledger(site: Path, tmp_path: Path) -> None:
     log, cosigner = tmp_path / "log", Cosigner("example.org/w1", bytes(32))
     with Writer(log, KEY.verifier.name, KEY) as writer:

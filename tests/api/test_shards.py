@@ -148,6 +148,7 @@ def test_rows_are_verified_once_verify_has_looked_at_every_shard(site_copy: Path
     assert federation.metrics().provenance.rows_verified is False
 
 
+@pytest.mark.slow
 def test_every_run_of_every_shard_is_played_again(site: Path) -> None:
     found = fsar_ledger.open_ledger(site / "log").verify(replay=True)
     assert found.replay is not None

@@ -75,6 +75,7 @@ def test_what_is_refused_in_some_runs_is_counted_with_its_reason_and_parts_none_
     assert json.loads(call(*bisected, "--json").good().out)["refused"] == [{"reason": UNKNOWN, "pairs": 2}]
 
 
+@pytest.mark.slow
 def test_a_fork_in_which_something_else_is_changed_parts_although_a_command_is_refused(
     call: Call, fleets: Path
 ) -> None:

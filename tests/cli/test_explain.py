@@ -61,6 +61,7 @@ def test_an_action_of_several_runs_asks_for_the_run(call: Call, ledger: Path) ->
     assert call("explain", ledger, "--run", runs[1], "--request", "A1-1/2.1").code == 0
 
 
+@pytest.mark.slow
 def test_an_action_of_one_run_is_told_without_naming_the_run(call: Call, workflows: Path) -> None:
     listed = json.loads(call("query", "audit/requests", workflows, "--json").out)["rows"]
     runs_of: dict[str, list[str]] = {}

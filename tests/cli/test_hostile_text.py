@@ -258,6 +258,7 @@ def drive(all_calls: Iterator[tuple[object, ...]], call: Call) -> tuple[set[str]
     return seen, codes
 
 
+@pytest.mark.slow
 def test_tables_and_mistakes_paint_nothing(ledger: Path, call: Call) -> None:
     """A few of the calls below."""
     named = f'SELECT run_id, robot AS "{EVIL}" FROM events WHERE robot IS NOT NULL LIMIT 3'
@@ -299,6 +300,7 @@ def test_a_damaged_ledger_does_not_paint_either(ledger: Path, call: Call, tmp_pa
         assert called.code
 
 
+@pytest.mark.slow
 def test_on_a_narrow_terminal_no_line_begins_with_a_claim(ledger: Path) -> None:
     here, there = pty.openpty()
     command = [sys.executable, "-m", "fsar_ledger", "explain", str(ledger)]

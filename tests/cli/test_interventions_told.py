@@ -10,6 +10,7 @@ from tests.cli.terminals import on_a_terminal_here
 from tests.quick import few
 
 
+@pytest.mark.slow
 def test_the_runs_with_an_intervention_are_the_share_that_metrics_print(ledger: Path) -> None:
     opened = Ledger(ledger)
     shares = [row for row in opened.metrics().rows() if row["metric"] == "human_intervention"]

@@ -240,6 +240,7 @@ def test_bisect_counts_a_fork_that_ends_early_on_neither_side(call: Call, hall: 
     assert (told["pairs"], told["neither"]) == (3, 3)
 
 
+@pytest.mark.slow
 def test_step_and_diff_walk_through_live_runs(call: Call, hall: Path) -> None:
     walked = call("step", hall, "--run", "day", "--script", "next-refusal; cause; state").good().out.splitlines()
     assert "command rejected: ReportStart (about t/2.1; unknown or finished action t/2.1, expected " in walked[0]

@@ -5,6 +5,8 @@ import io
 import json
 from pathlib import Path
 
+import pytest
+
 from .conftest import SMALL, Call, one_message
 
 MULTIVERSE = ("study", "run", "multiverse")
@@ -48,6 +50,7 @@ def test_programs_get_every_combination_and_the_same_bytes_again(call: Call, led
     assert call(*MULTIVERSE, ledger, *ONE, "--json").out == called.out
 
 
+@pytest.mark.slow
 def test_our_reading_is_what_metrics_says(call: Call, ledger: Path) -> None:
     ours = {
         row["architecture"]: row["ours"]

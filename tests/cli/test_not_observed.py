@@ -125,6 +125,7 @@ def test_info_names_what_no_answer_is_about(call: Call, members: Path) -> None:
     assert {one["concern"] for one in found} == set(CONCERNS) - {"fleet"}
 
 
+@pytest.mark.slow
 def test_where_everything_is_observed_nothing_is_said_of_it(call: Call, ledger: Path) -> None:
     said = call("query", "requests", ledger, "--json")
     assert "not_observed" not in json.loads(said.out)

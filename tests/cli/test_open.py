@@ -198,6 +198,7 @@ def test_denials_of_one_run_are_read_from_tables(opened: Opened) -> None:
             assert plan.lower().count("read_parquet") <= 2  # the names of plans, of which one could be asked for
 
 
+@pytest.mark.slow
 def test_a_macro_takes_a_run_by_name(ledger: Path, opened: Opened, tmp_path: Path) -> None:
     here = fsar_ledger.open_ledger(ledger)
     run = list(here.numbers())[-1]
@@ -253,6 +254,7 @@ def test_a_macro_refuses_whatever_is_not_on_record(opened: Opened, call: str, ki
         elsewhere.execute(f"FROM {call}").fetchall()
 
 
+@pytest.mark.slow
 def test_open_says_how_to_call_a_macro(ledger: Path, opened: Opened, tmp_path: Path) -> None:
     macro = opened.said.partition("as `FROM ")[2].partition("`")[0]
     (found,) = read_elsewhere(opened.file, tmp_path / "read", macro)

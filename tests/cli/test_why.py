@@ -174,6 +174,7 @@ def test_a_verdict_names_the_events_that_made_it(judged: Judged, kind: str, begi
     assert rows
 
 
+@pytest.mark.slow
 def test_the_windows_that_sql_holds_a_denial_against_are_among_its_reasons(ledger: Path, judged: Judged) -> None:
     """Two accounts of the same: what the queries find in the record, and what the handlers read on replay."""
     view = open_for_answers(ledger)

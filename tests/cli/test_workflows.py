@@ -10,6 +10,7 @@ from .conftest import Call, one_message
 ALL = ("--workflow", "human-supervision", "--workflow", "door-relay", "--workflow", "layered-recovery")
 
 
+@pytest.mark.slow
 def test_the_workflows_are_simulated_once_each_and_every_invariant_holds(call: Call, tmp_path: Path) -> None:
     assert call("simulate", tmp_path / "workflows", *ALL, "--workers", "1").code == 0
     found = json.loads(call("info", tmp_path / "workflows", "--json").out)

@@ -23,6 +23,7 @@ def test_the_answer_says_what_is_in_the_file_and_what_is_not(
     assert any("1970-01-01T00:00:00Z" in note for note in notes)
 
 
+@pytest.mark.slow
 def test_perfetto_is_the_trace_that_view_writes(ledger: fsar_ledger.Ledger, call: Call, tmp_path: Path) -> None:
     said = call("export", ledger.path, "--as", "perfetto", "--run", 2, "--out", tmp_path / "a.json").good().out
     call("view", ledger.path, "--run", 2, "--perfetto", tmp_path / "b.json").good()

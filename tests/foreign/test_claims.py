@@ -44,7 +44,7 @@ def database(runs: list[LedgerRun]) -> Iterator[Database]:
         yield made
 
 
-@pytest.mark.parametrize("name", few(BY_RUN, [one for one in BY_RUN if one.startswith("audit/")]))
+@pytest.mark.parametrize("name", few(BY_RUN, [one for one in BY_RUN if one.startswith("audit/")][::3]))
 def test_a_query_says_null_of_what_is_not_observed_and_names_it(database: Database, name: str) -> None:
     assert list(vain_claims(database, library().find(name), WHOLE)) == []
 

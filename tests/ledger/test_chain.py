@@ -117,6 +117,7 @@ def test_the_pack_gives_every_proof_of_every_tree_that_it_grew_through(sizes: li
         assert root_of_inclusion(leaves[index], index, tree.size, proof) == tree.root()
 
 
+@pytest.mark.slow
 def test_proofs_and_anchors_that_were_given_still_hold_after_sealing_and_compaction(path: Path) -> None:
     view = open_for_answers(path)
     proofs = [prove(view, index) for index in range(0, view.head.size, 7)]
@@ -190,6 +191,7 @@ def test_a_placement_with_another_line_of_the_index_than_the_rows_have_is_found(
     assert [(problem.where, problem.field) for problem in report.problems] == [(CHAIN, "index_sha256")]
 
 
+@pytest.mark.slow
 def test_a_question_about_one_run_reads_only_the_segments_that_hold_it(path: Path) -> None:
     ledger = Ledger(path)
     told = [ledger.prove("run-1:3").event, ledger.record("run-1"), ledger.log("run-1").rows()]

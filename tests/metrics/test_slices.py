@@ -56,7 +56,7 @@ def test_slices_hold_whole_runs_and_each_event_once(ledger: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize("most", few([1, 2_000, 5_000], [5_000], [2_000]))
+@pytest.mark.parametrize("most", few([1, 2_000, 5_000], [], [2_000, 5_000]))
 def test_the_verdicts_of_slices_are_those_of_the_whole_ledger(ledger: Path, most: int) -> None:
     told: list[tuple[int, int]] = []
     with connect(ledger) as whole:

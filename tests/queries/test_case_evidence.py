@@ -141,6 +141,7 @@ def test_the_events_behind_a_number_are_listed_with_the_action_to_explain() -> N
     ]
 
 
+@pytest.mark.slow
 def test_the_evidence_of_each_claim_adds_up_to_its_number_and_names_events_of_the_run() -> None:
     specs = [
         RunSpec(42, architecture, "full", scenario, 4, 3)

@@ -69,6 +69,7 @@ def test_the_words_of_an_event_name_parts_of_the_line_that_are_there() -> None:
     assert len(lines) == len(told) - 1
 
 
+@pytest.mark.slow
 def test_the_parts_of_an_event_are_named_where_they_are_known() -> None:
     opened = event("PolicyWindowOpened", S, robot=B, scope="fleet", window="fleet/B1/0", outcome="deny")
     assert line(opened) == (B, B, "policy window opens: fleet/B1/0", "fleet deny")

@@ -155,6 +155,7 @@ def test_a_metric_is_null_without_a_concern_that_it_rests_on_and_else_as_with_it
     assert hidden == 3 * sum(len(NEEDED[metric]) for metric in {metric for _, metric in rows})
 
 
+@pytest.mark.slow
 def test_an_invariant_holds_of_no_run_that_lacks_what_it_rests_on_and_offences_are_never_made_of_gaps(
     database: Database,
 ) -> None:

@@ -59,6 +59,7 @@ OTHERS: dict[str, Any] = {
 }
 
 
+@pytest.mark.slow
 def test_runs_that_differ_in_one_dimension_are_never_in_one_row() -> None:
     groups = [called(0, 1, parameters=LOW)]
     groups += [

@@ -146,6 +146,7 @@ def test_what_fails_and_what_cannot_be_decided_are_both_said() -> None:
     assert "cannot be decided with these runs" not in said(page(governance_locality__fsar=0.6), "answer")
 
 
+@pytest.mark.slow
 def test_what_turns_without_a_mechanism_is_named() -> None:
     turned = page(differences=[CONTAINMENT_LOST])
     assert column(turned, "claims", "mechanisms") == [None, None, ["layered recovery"], *[None] * 5]

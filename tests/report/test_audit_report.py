@@ -169,6 +169,7 @@ def test_an_unknown_kind_is_refused(ledger: Path, tmp_path: Path) -> None:
         report(open_ledger(ledger), tmp_path / "report.pdf", kind=unknown)
 
 
+@pytest.mark.slow
 def test_the_first_page_says_which_rule_denied(gates: dict[str, Path]) -> None:
     told = words(audit_of(gates["shut"]))
     assert "The ledger records 3 runs (simulated), of the scenario through-the-gate, under FSAR." in told
@@ -213,6 +214,7 @@ def test_what_is_not_observed_is_never_0_and_never_holds(blind: Path) -> None:
         assert concern in told.rpartition("Not observed, so that no number here is about it: ")[2]
 
 
+@pytest.mark.slow
 def test_a_sum_over_runs_of_which_one_does_not_record_it_is_blank(tmp_path: Path) -> None:
     for name, observes in (("few", ["RobotDeparted"]), ("more", ["RobotDeparted", "RobotWentOff"])):
         with record(tmp_path / "ledger", run=name, observes=observes) as recorder:

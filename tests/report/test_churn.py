@@ -65,6 +65,7 @@ def test_its_runs_replay_from_the_ledger_alone(churn: Path) -> None:
     assert (report.ok, report.runs) == (True, 12)
 
 
+@pytest.mark.slow
 def test_the_report_counts_what_is_on_record_and_compares_it_with_nothing(churn: Path) -> None:
     parts = read_ledger(churn, None)
     assert list(parts) == ["churn"]

@@ -161,6 +161,7 @@ def test_where_a_mechanism_has_nothing_to_do_every_difference_is_exactly_0() -> 
     assert {row["p"] for row in rows} == {None}
 
 
+@pytest.mark.slow
 def test_a_difference_is_in_full_minus_without_and_its_interval_that_of_the_paired_t_test(database: Database) -> None:
     values = {
         name: [

@@ -3,6 +3,8 @@
 import re
 from functools import cache
 
+import pytest
+
 from fsar_ledger.metrics.robustness import SystemNumber
 from fsar_ledger.report import specs
 from fsar_ledger.report.build import Document
@@ -44,6 +46,7 @@ def test_no_reason_says_that_fsar_names_a_supervisor_who_is_off_shift() -> None:
     assert all("shift" in why for why in reasons.values()), "no record names the supervisor then (R8)"
 
 
+@pytest.mark.slow
 def test_a_rank_holds_only_where_it_holds_at_every_size_and_for_every_value_of_a_dial() -> None:
     at = column(page(), "system-ranks", "short").index("Violations")
     assert ranks(page(), "alliance")[at] == "better"

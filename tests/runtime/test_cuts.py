@@ -189,6 +189,7 @@ def compare(halls: tuple[Day, Day], queries: Iterable[Query]) -> int:
     return given
 
 
+@pytest.mark.slow
 def test_every_judge_says_the_same_of_the_cut_run_and_of_the_uncut_one(halls: tuple[Day, Day]) -> None:
     queries = [one for one in library().queries.values() if one.name.startswith(JUDGES) and not one.parameters]
     assert compare(halls, queries) > 3

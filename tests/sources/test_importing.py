@@ -239,6 +239,7 @@ def test_a_line_of_twenty_megabytes_is_kept_in_parts(tmp_path: Path, keeps_bodie
     assert (made.records, record_numbers(tmp_path / "ledger")) == (4, [1, 2, 3, 4])
 
 
+@pytest.mark.slow
 def test_bodies_of_any_number_are_kept_whole(tmp_path: Path) -> None:
     """More than a commit of a journal takes."""
     lines = [message(at, "0001", "visualization", agvPosition={"map": "m" * 5_000}) for at in range(4_200)]

@@ -56,6 +56,7 @@ def test_each_record_of_a_stream_is_on_disk_before_the_next_is_awaited(tmp_path:
     assert seen[:9] == list(range(9))
 
 
+@pytest.mark.slow
 def test_a_pipe_is_read_as_standard_input_is(tmp_path: Path) -> None:
     whole = vda.written(vda.long_night(3))
     called = subprocess.run(

@@ -346,6 +346,7 @@ def test_a_file_without_one_object_a_line_is_refused_and_no_ledger_is_made(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_the_example_of_the_page_says_what_the_page_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -178,6 +178,7 @@ def test_a_recording_that_has_grown_says_what_it_says_at_once(imported: Import) 
     assert said(grown) == said(imported(lines, "other"))
 
 
+@pytest.mark.slow
 def test_an_honest_fleet_offends_nothing_and_what_is_not_recorded_is_named(imported: Import) -> None:
     holding, broken, lacking = verdicts(imported(honest_day()).ledger)
     assert (holding, broken) == ({"i1", "a2"}, set())

@@ -49,6 +49,7 @@ def test_an_honest_night_has_no_offence_and_its_fleet_is_judged(call: Call, tmp_
     assert all(row["not_observed"] for row in found.values() if row["holds"] is None)
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_is_not_of_the_fleet_breaks_i1(call: Call, tmp_path: Path) -> None:
     night, fleet = filed(tmp_path, vda.honest_night()), tmp_path / "fleet.toml"
     fleet.write_text('[robots]\n"KIT.0001" = "agv"\n')

@@ -67,6 +67,7 @@ def test_rejections_are_counted_by_metric_and_test_and_holm_s_once_for_all() -> 
     assert found[ANY, "p_holm"].share == pytest.approx(0.05, abs=0.02)
 
 
+@pytest.mark.slow
 def test_the_result_is_of_the_registered_sample(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sample = Sample(seed=7, size=5, runs=1)
     other = msgspec.structs.replace(registration(), placebo=sample)

@@ -85,6 +85,7 @@ def test_a_report_has_the_effects_of_its_runs_or_says_how_to_make_them(found: Se
         assert "fsar-ledger study run sensitivity --out FILE" in said(missing, "note")
 
 
+@pytest.mark.slow
 def test_effects_name_the_queries_that_judged_them_and_the_report_those_that_changed(found: Sensitivity) -> None:
     assert found.rules == rules(METRICS)
     for given, is_said in (({"facts/conflicts": "0"}, True), (found.rules, False)):

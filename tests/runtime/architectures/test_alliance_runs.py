@@ -24,6 +24,7 @@ from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.projections.motivation import action_of, execution_name
 from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
+from tests.quick import few
 
 DIALS = Alliance()
 MIXED = Outages(0.02, 8.0, 0.03, 6.0, 0.002)
@@ -82,7 +83,7 @@ def test_no_step_starts_against_the_robots_own_policy_where_it_is_sensed(runs: l
 
 
 @pytest.mark.parametrize("outages", [None, MIXED], ids=["whole", "outages"])
-@pytest.mark.parametrize("size", [4, 16])
+@pytest.mark.parametrize("size", few([4, 16], [4]))
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_every_task_ends_and_every_run_is_replayed(scenario: str, size: int, outages: Outages | None) -> None:
     for learns in (0, 1):
