@@ -18,7 +18,6 @@ from fsar_ledger.report.judge import FAILS, OPEN, STANDS, UNDECIDED
 
 NOTHING = "–"
 MINUS = "\u2212"
-THIN_SPACE = "\u2009"
 GRADES = {"full": "\u25cf", "partial": "\u25cb", "none": "\u2014"}  # as in the paper: present, partial, absent
 OUTCOMES = {STANDS: "comes out", FAILS: "does not", UNDECIDED: "undecided", OPEN: "open"}
 MAX_ROWS, MAX_WORDS = 200, 400  # rows of a table, characters of a cell; what exceeds them is counted
@@ -51,11 +50,8 @@ class Table(msgspec.Struct, frozen=True):
 
 
 def number(value: float, decimals: int) -> str:
-    """Format the value with this many decimals, a real minus sign, and never a negative zero."""
-    printed = f"{value:.{decimals}f}"
-    if float(printed) == 0:
-        printed = printed.lstrip("-")
-    return printed.replace("-", MINUS)
+    """Format the value with this many decimals, commas, a real minus sign, and never a negative zero."""
+    return f"{value:z,.{decimals}f}".replace("-", MINUS)
 
 
 def significant(value: float, digits: int) -> str:
@@ -67,9 +63,8 @@ def significant(value: float, digits: int) -> str:
 
 
 def integer(value: float) -> str:
-    """Format the integer with a thin space between thousands, from five digits on."""
-    grouped = f"{int(value):,}" if abs(value) >= 10_000 else str(int(value))
-    return grouped.replace(",", THIN_SPACE).replace("-", MINUS)
+    """Format the integer with a comma between thousands, as every command does, and a real minus sign."""
+    return f"{int(value):,}".replace("-", MINUS)
 
 
 def probability(value: float) -> str:
@@ -84,13 +79,10 @@ def in_metric(name: str, value: float) -> str:
 
 
 def words(value: object, most: int = MAX_WORDS) -> str:
-    """Return the text for a page.
-
-    Everything is escaped except the thin spaces of our numbers, and the text is cut after `most` characters.
-    """
+    """Return the text for a page, escaped, and cut after `most` characters."""
     text = str(value)
     cut = text if len(text) <= most else f"{text[:most]}... ({len(text) - most:,} more)"
-    return THIN_SPACE.join(printable.value(part, len(part)) for part in cut.split(THIN_SPACE))
+    return printable.value(cut, len(cut))
 
 
 def configuration(name: str) -> str:

@@ -20,7 +20,7 @@ def test_number_has_a_real_minus_and_no_negative_zero(value: float, decimals: in
 @pytest.mark.parametrize(
     ("value", "printed"),
     [
-        *((365.4, "365"), (0.00823, "0.00823"), (-2.118, "\u22122.12"), (1563.3, "1563")),
+        *((365.4, "365"), (0.00823, "0.00823"), (-2.118, "\u22122.12"), (1563.3, "1,563")),
         *((0, "0"), (1.0, "1.00"), (0.1, "0.100"), (10.0, "10.0")),
     ],
 )
@@ -30,12 +30,12 @@ def test_three_significant_digits(value: float, printed: str) -> None:
 
 @given(st.floats(1e-6, 1e6))
 def test_significant_digits_keep_the_value_within_half_a_percent(value: float) -> None:
-    assert float(printing.significant(value, 3)) == pytest.approx(value, rel=0.0051)
+    assert float(printing.significant(value, 3).replace(",", "")) == pytest.approx(value, rel=0.0051)
 
 
-def test_integers_have_thin_spaces_from_five_digits_on() -> None:
+def test_integers_have_commas_as_in_every_command() -> None:
     found = [printing.integer(value) for value in (0, 9999, 10_000, 1_234_567)]
-    assert found == ["0", "9999", "10\u2009000", "1\u2009234\u2009567"]
+    assert found == ["0", "9,999", "10,000", "1,234,567"]
 
 
 def test_small_p_is_printed_as_smaller_than_the_smallest() -> None:
@@ -92,8 +92,8 @@ def test_a_sentence_is_filled_with_values_as_they_are_printed_and_lists_are_list
     template = "{n}; {share:probability}; {mean:.1f}; {names}; {metrics:lower}; {names:raw}; {n:are|is}; {one:are|is}"
     said = printing.sentence(template, row)
     assert said.split("; ") == [
-        *("12\u2009345", "\\<\\.0001", "\u22121.2", "a, b\\_c and d"),
-        *("audit attributability", "a, b_c and d", "12\u2009345 are", "1 is"),
+        *("12,345", "\\<\\.0001", "\u22121.2", "a, b\\_c and d"),
+        *("audit attributability", "a, b_c and d", "12,345 are", "1 is"),
     ]
     with pytest.raises(KeyError):
         printing.sentence("{unknown}", row)
@@ -111,7 +111,7 @@ def test_nested_constants_become_dotted_names() -> None:
     }
     assert list(printing.flat("", nested)) == [
         ("a.flag", "True"),
-        ("a.list", "1, 20\u2009000"),
+        ("a.list", "1, 20,000"),
         ("a.none", ""),
         ("b.carry", "\u221250"),
         ("b.nav", "2 to 6.5 s"),

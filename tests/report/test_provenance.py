@@ -113,7 +113,7 @@ def test_what_the_paper_prints_is_what_the_paper_prints() -> None:
         "world.durations.door.open.secure": "0.5 to 2 s",
         "world.message": "0.05 to 0.5 s",
         "structure.local_attempts": "2",
-        "structure.local_budget_us": "30\u2009000\u2009000",
+        "structure.local_budget_us": "30,000,000",
     }
 
 
@@ -134,7 +134,7 @@ def test_no_cell_hangs_on_what_was_chosen(architecture: Architecture) -> None:
 
 def test_the_report_names_the_constants_that_are_not_this_versions() -> None:
     given = {
-        "structure.poll_us": "2\u2009000\u2009000",
+        "structure.poll_us": "2,000,000",
         "world.motion_share": str(Constants().world.motion_share),
         "of.another.model": "1",
     }

@@ -73,6 +73,11 @@ def test_a_dial_names_what_is_told_apart_where_it_is_turned() -> None:
     ]
     assert column(page(*turned), "system-switches", "moves") == ["Violations 0.5 → 0.25"]
     assert column(page(*turned), "system-switches", "setting") == ["0 → 1"]
+    waits = (
+        system_number("alliance", "policy_violations", dial="alliance.silence_us", value=value)
+        for value in (10_000_000, 500_000)
+    )
+    assert column(page(*waits), "system-switches", "setting") == ["10 s → 0.5 s"]
     assert column(
         page(turned[0], system_number("jade", "policy_violations", dial="jade.permissions", value=1)),
         "system-switches",
