@@ -5,6 +5,7 @@ An adapter is made for one import and keeps what it has seen in it. Others publi
 line is reported, and the lines after it are read all the same.
 """
 
+import io
 import sys
 import tomllib
 from collections import Counter
@@ -238,6 +239,28 @@ def _compressed(inputs: Iterable[Input]) -> UsageError | None:
                     f"the file and pipe the output of `{writer} {name}`"
                 )
     return None
+
+
+class _Stream(io.RawIOBase):
+    """A stream that calls `before_wait` before each read, which may block."""
+
+    def __init__(self, file: BinaryIO, before_wait: Callable[[], None]) -> None:
+        self._file, self._before_wait = file, before_wait
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        self._before_wait()
+        read = getattr(self._file, "read1", self._file.read)
+        data: bytes = read(len(buffer))
+        buffer[: len(data)] = data
+        return len(data)
+
+
+def awaited(log: Input, before_wait: Callable[[], None]) -> Input:
+    """Return the input; a stream calls `before_wait` before it waits for more."""
+    return log if log.path is not None else log._replace(file=io.BufferedReader(_Stream(log.file, before_wait)))
 
 
 def digest_of(inputs: Sequence[Input]) -> str | None:

@@ -5,12 +5,10 @@ far the import came: when called again, it reads the input from the beginning, t
 the last record on file.
 """
 
-import io
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Any, BinaryIO
 
 import msgspec
 
@@ -27,7 +25,7 @@ from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.schema import MAX_INTEGER
 from fsar_ledger.ledger.store.append import Writer
 
-from .adapter import UNREADABLE, Adapter, Derived, Input, Record, digest_of, no_record
+from .adapter import LOOKED_AT, UNREADABLE, Adapter, Derived, Input, Record, awaited, digest_of, no_record
 from .columns import Declared, declared, require_full_names, storable, storable_text, text_of
 from .recorder import FORMAT, origin_of, roles_of
 from .stored import BYTES, EarlierImport, NewEvent, commit, earlier_import, record_hashes
@@ -185,7 +183,7 @@ class _Import:
         """Read every record, commit those that are not on file, and close the source."""
         on_file = self.earlier.records if self.earlier is not None else 0
         hashes = record_hashes(self.path, self.run) if on_file else iter(())
-        for record in self.adapter.read([self._committing(log) for log in inputs]):
+        for record in self.adapter.read([awaited(log, self._commit_before_wait) for log in inputs]):
             self.count += 1
             if self.count == on_file and self._is_whole_now(record):
                 on_file -= 1
@@ -216,10 +214,6 @@ class _Import:
         closed = SourceClosed(source=self.adapter.name, until_us=self.last_us, record_count=self.count)
         self._put(self.last_us, None, closed)
         self._commit()
-
-    def _committing(self, log: Input) -> Input:
-        """Return the input; a stream commits what was read before it waits for more."""
-        return log if log.path is not None else log._replace(file=io.BufferedReader(_Stream(log.file, self._commit)))
 
     def _is_whole_now(self, record: Record) -> bool:
         assert self.earlier is not None
@@ -372,27 +366,16 @@ class _Import:
                 "the input that was imported, perhaps with more at its end; give another input another name (--run)",
             )
 
+    def _commit_before_wait(self) -> None:
+        """Commit what a stream has given; its beginning, which names the epoch, waits for a time, but not for long."""
+        is_beginning = self.rows and isinstance(self.rows[0][2], RunStarted)
+        if not is_beginning or self.epoch_us is not None or self.count >= LOOKED_AT:
+            self._commit()
+
     def _commit(self) -> None:
         if self.rows:
             commit(self.writer, self.path, self.run, self.rows, self.first)
             self.rows, self.bytes = [], 0
-
-
-class _Stream(io.RawIOBase):
-    """A stream that calls `before_wait` before each read, which may block."""
-
-    def __init__(self, file: BinaryIO, before_wait: Callable[[], None]) -> None:
-        self._file, self._before_wait = file, before_wait
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any) -> int:
-        self._before_wait()
-        read = getattr(self._file, "read1", self._file.read)
-        data: bytes = read(len(buffer))
-        buffer[: len(data)] = data
-        return len(data)
 
 
 def _storable_time_us(time_us: int | None) -> int | None:

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.sources import importing
-from fsar_ledger.sources.adapter import Input, adapter_of
+from fsar_ledger.sources.adapter import LOOKED_AT, Input, adapter_of
 from fsar_ledger.sources.importing import import_files
 from fsar_ledger.sources.vda5050 import Vda5050
 from tests.cli.conftest import Call
@@ -32,28 +32,48 @@ COMMAND = (sys.executable, "-m", "fsar_ledger")
 ONE = message(0, "0001", "connection", connectionState="ONLINE")
 
 
+class Slow(io.RawIOBase):
+    """Gives a line at a time, and calls `asked` before each."""
+
+    def __init__(self, lines: Iterable[bytes], asked: Callable[[], None] = lambda: None) -> None:
+        self.lines, self.asked = iter(lines), asked
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        self.asked()
+        line = next(self.lines, b"")
+        buffer[: len(line)] = line
+        return len(line)
+
+
+def streamed(ledger: Path, format: str, lines: Iterable[bytes]) -> list[int]:
+    """Import a stream, and return how many records were on file each time that it was asked for a line."""
+    seen: list[int] = []
+    stream = Input("stdin", None, io.BufferedReader(Slow(lines, lambda: seen.append(held(ledger)))))
+    import_files(ledger, [stream], adapter_of(format, None)[0], run="night")
+    return seen
+
+
 def test_each_record_of_a_stream_is_on_disk_before_the_next_is_awaited(tmp_path: Path) -> None:
-    ledger, seen = tmp_path / "ledger", []
+    lines = vda.written(vda.long_night(1)).splitlines(keepends=True)
+    seen = streamed(tmp_path / "ledger", "vda5050", lines)
+    assert (len(lines), seen[:9]) == (8, list(range(9)))
 
-    class Slow(io.RawIOBase):
-        """Gives a line at a time, and notes what is on file when it is asked."""
 
-        def __init__(self) -> None:
-            self.lines: Iterator[bytes] = iter(vda.written(vda.long_night(1)).splitlines(keepends=True))
+def test_a_stream_whose_first_record_has_no_time_keeps_the_time_of_the_others(tmp_path: Path) -> None:
+    asked = b'{"type": "dispatch_task_request", "request": {"category": "delivery"}}\n'
+    booked = b'{"booking": {"id": "d1", "unix_millis_request_time": 1772359200000}, "status": "queued"}\n'
+    assert streamed(tmp_path / "ledger", "rmf", (asked, booked))[:3] == [0, 0, 2]
+    started, *_ = recorded(tmp_path / "ledger")
+    assert started["epoch"] == "2026-03-01T10:00:00Z"
 
-        def readable(self) -> bool:
-            return True
 
-        def readinto(self, buffer: Any) -> int:
-            seen.append(held(ledger))
-            line = next(self.lines, b"")
-            buffer[: len(line)] = line
-            return len(line)
-
-    adapter, _ = adapter_of("vda5050", None)
-    stream = Input("stdin", None, io.BufferedReader(Slow()))
-    assert import_files(ledger, [stream], adapter, run="night").records == 8
-    assert seen[:9] == list(range(9))
+def test_a_stream_that_tells_no_time_is_not_held_back_for_long(tmp_path: Path) -> None:
+    lines = [b'{"type": "robot_task_request", "request": {}}\n'] * (LOOKED_AT + 5)
+    seen = streamed(tmp_path / "ledger", "rmf", lines)
+    assert seen[: LOOKED_AT + 6] == [0] * LOOKED_AT + list(range(LOOKED_AT, LOOKED_AT + 6))
 
 
 @pytest.mark.slow
