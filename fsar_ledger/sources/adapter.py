@@ -6,6 +6,7 @@ line is reported, and the lines after it are read all the same.
 """
 
 import io
+import os
 import sys
 import tomllib
 from collections import Counter
@@ -157,16 +158,17 @@ STDIN = "-"
 
 
 @contextmanager
-def opened(logs: Sequence[str]) -> Iterator[list[Input]]:
+def opened(logs: Sequence[str | os.PathLike[str]]) -> Iterator[list[Input]]:
     """Open these files; `-` is standard input.
 
-    Raises: UsageError if there are none, or one cannot be read.
+    Raises: UsageError if there are none, or one cannot be read or comes twice.
     """
     if not logs:
         raise UsageError("import: found no file, expected at least one, or - for standard input")
     with ExitStack() as stack:
         inputs: list[Input] = []
-        for log in logs:
+        known: dict[tuple[int, ...], str] = {}
+        for log in map(str, logs):
             path = Path(log)
             try:
                 file = sys.stdin.buffer if log == STDIN else stack.enter_context(path.open("rb"))
@@ -175,6 +177,9 @@ def opened(logs: Sequence[str]) -> Iterator[list[Input]]:
                     f"{value(log)}: cannot be read ({error.strerror}); name a file, or - for standard input"
                 ) from error
             is_file = log != STDIN and file.seekable()  # a pipe cannot be read twice
+            if is_file and (file_id := os.fstat(file.fileno())[1:3]) in known:
+                raise UsageError(f"{value(log)}: found the file {value(known[file_id])} again, expected each file once")
+            known |= {file_id: log} if is_file else {}
             inputs.append(Input("stdin" if log == STDIN else path.stem, path if is_file else None, file))
         yield inputs
 
@@ -205,16 +210,11 @@ def looked(adapter: Adapter, inputs: Sequence[Input]) -> Adapter:
     An adapter whose declarations depend on its inputs has a method `look`; for any other, files are read up to the
     first record. Each file is at its beginning afterwards.
 
-    Raises: UsageError for files without a record, or as `Adapter.read`; it says if a file is compressed.
+    Raises: UsageError for files without a record, for a compressed one that it cannot read, or as `Adapter.read`.
     """
-    try:
-        _look(adapter, inputs)
-    except UsageError as error:
-        raise _compressed(inputs) or error from None
-    return adapter
-
-
-def _look(adapter: Adapter, inputs: Sequence[Input]) -> None:
+    for log in inputs:
+        if (error := _compressed(log)) is not None and not _can_read(adapter, log):
+            raise error
     if (look := getattr(adapter, "look", None)) is not None:
         look(inputs)
     elif all(log.path is not None for log in inputs):
@@ -222,23 +222,33 @@ def _look(adapter: Adapter, inputs: Sequence[Input]) -> None:
             raise no_record(inputs)
         for log in inputs:
             log.file.seek(0)
+    return adapter
 
 
-def _compressed(inputs: Iterable[Input]) -> UsageError | None:
-    """Return the error for a compressed file, None if no file is compressed."""
-    for log in inputs:
-        if log.path is None:
-            continue
-        log.file.seek(0)
-        head = log.file.read(max(map(len, COMPRESSED)))
-        for mark, writer in COMPRESSED.items():
-            if head.startswith(mark):
-                name = value(str(log.path))
-                return UsageError(
-                    f"{name}: found a compressed file, expected one that is not; uncompress it, or give {STDIN} as "
-                    f"the file and pipe the output of `{writer} {name}`"
-                )
+def _compressed(log: Input) -> UsageError | None:
+    """Return the error for a compressed file, None for any other input."""
+    if log.path is None:
+        return None
+    head = log.file.read(max(map(len, COMPRESSED)))
+    log.file.seek(0)
+    for mark, writer in COMPRESSED.items():
+        if head.startswith(mark):
+            name = value(str(log.path))
+            return UsageError(
+                f"{name}: found a compressed file, expected one that is not; uncompress it, or give {STDIN} as "
+                f"the file and pipe the output of `{writer} {name}`"
+            )
     return None
+
+
+def _can_read(adapter: Adapter, log: Input) -> bool:
+    try:
+        first = next(iter(deepcopy(adapter).read([log])), None)
+    except UsageError:
+        return False
+    finally:
+        log.file.seek(0)
+    return first is not None and first.kind != UNREADABLE
 
 
 class _Stream(io.RawIOBase):

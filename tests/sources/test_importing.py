@@ -77,6 +77,23 @@ def test_a_compressed_file_is_said_to_be_one(tmp_path: Path, call: Call, format:
     assert not (tmp_path / "ledger").exists()
 
 
+def test_a_compressed_file_beside_another_is_said_to_be_one_before_anything_is_recorded(
+    tmp_path: Path, call: Call
+) -> None:
+    night, packed = filed(tmp_path, vda.long_night(2)), tmp_path / "second.jsonl.gz"
+    packed.write_bytes(gzip.compress(vda.written(vda.long_night(3))))
+    one_message(call("import", tmp_path / "ledger", night, packed, "--as", "vda5050"), 2, f"`zcat {packed}`")
+    assert not (tmp_path / "ledger").exists()
+
+
+def test_a_file_that_is_named_twice_is_refused_since_all_of_it_would_count_twice(tmp_path: Path, call: Call) -> None:
+    night, link = filed(tmp_path, vda.long_night(2)), tmp_path / "link.jsonl"
+    link.symlink_to(night)
+    refused = f"{link}: found the file {night} again, expected each file once"
+    one_message(call("import", tmp_path / "ledger", night, link, "--as", "vda5050"), 2, refused)
+    assert not (tmp_path / "ledger").exists()
+
+
 def test_a_run_says_which_adapter_read_what_and_how_much_of_it_until_when(tmp_path: Path) -> None:
     imported(tmp_path / "ledger", filed(tmp_path, vda.long_night(2)))
     started, begun, *_, closed = rows(tmp_path / "ledger")
