@@ -1,8 +1,8 @@
 """VDA 5050 2.1 and 3.0: orders, states, instant actions and connections, as a broker recorded them.
 
-One message a line: the message itself, or an object with `topic`, `payload` and perhaps `received` (ISO 8601), the time
-at which the recorder got it. A state is sent from time to time, so what follows from it is what has changed since the
-last one of the same vehicle; an action that began and ended between two states has no start on record.
+One message a line: the message itself, or an object with `topic`, `payload` (the message, or its text) and perhaps
+`received` (ISO 8601), when the recorder got it. A state is sent from time to time, so what follows from it is what has
+changed since the last one of the same vehicle; an action that began and ended between two has no start on record.
 
 | message | becomes |
 |---|---|
@@ -20,20 +20,13 @@ last one of the same vehicle; an action that began and ended between two states 
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, Literal
 
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import (
-    COORDINATOR,
-    Parties,
-    Principals,
-    RequestSubject,
-    Robot,
-    Subject,
-    recorded_robot,
-)
+from fsar_ledger.events.envelope import COORDINATOR, Parties, Principals, RequestSubject, Robot, Subject, recorded_robot
 from fsar_ledger.events.execution import (
     ExecutionFailed,
     ExecutionFinished,
@@ -46,7 +39,7 @@ from fsar_ledger.events.request import RequestAccepted, RequestDenied, RequestIs
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import LinkCameUp, LinkWentDown, TaskArrived
 
-from .adapter import UNREADABLE, Derived, Input, Record, json_text, objects, require_format, utc_us
+from .adapter import BROKEN, OBJECT, UNREADABLE, Derived, Input, Record, json_text, objects, require_format, utc_us
 
 KINDS: Mapping[str, tuple[str, ...]] = {
     "state": ("operatingMode",),
@@ -60,7 +53,9 @@ KINDS: Mapping[str, tuple[str, ...]] = {
 }
 """The fields that identify a message without a topic. Visualization comes last: a state has its fields, too."""
 
-BROKEN = ("CONNECTIONBROKEN", "CONNECTION_BROKEN")
+HEADER = ("headerId", "manufacturer", "serialNumber")
+"""Fields that every message has, and no recorder adds."""
+LOST = ("CONNECTIONBROKEN", "CONNECTION_BROKEN")
 """The spellings of 2.1 and 3.0."""
 OF_ORDER, BESIDE = "actionStates", ("instantActionStates", "zoneActionStates")
 """The lists of action states: of an order (before 3.0 also of instant actions), and of others."""
@@ -138,7 +133,7 @@ class Vda5050:
         return require_format(records, files, lambda item: item.kind not in unknown, "messages of VDA 5050, one a line")
 
     def _record(self, raw: bytes, line: dict[str, Any]) -> Record:
-        message = line["payload"] if isinstance(line.get("payload"), dict) else line
+        message = _message(line)
         kind = _kind(line.get("topic"), message)
         if self._version == "unknown" and isinstance(message.get("version"), str):
             self._version = message["version"]
@@ -170,7 +165,7 @@ class Vda5050:
             return None
         vehicle = self._vehicles.setdefault(robot, Vehicle())
         # The broker reports a broken connection by a message that the vehicle left before it reported to be online.
-        is_of_broker = kind == "connection" and message.get("connectionState") in BROKEN
+        is_of_broker = kind == "connection" and message.get("connectionState") in LOST
         if kind in ("state", "connection") and not is_of_broker and _is_late(vehicle, kind, record, message):
             return ()
         match kind:
@@ -209,20 +204,30 @@ def _is_late(vehicle: Vehicle, kind: str, record: Record, message: Mapping[str, 
     return False
 
 
+def _message(line: dict[str, Any]) -> dict[str, Any]:
+    """Return the message in a line, whose payload may be the text of the message."""
+    payload = line.get("payload")
+    if isinstance(payload, str):
+        with suppress(*BROKEN):
+            payload = OBJECT.decode(payload)
+    return payload if isinstance(payload, dict) else line
+
+
 def _kind(topic: object, message: Mapping[str, Any]) -> str:
+    """Return the kind of a message by its topic, or by its fields; one without any field of its kind is none."""
     last = topic.rpartition("/")[2] if isinstance(topic, str) else ""
-    if last in KINDS:
+    if any(name in message for name in (*HEADER, *KINDS.get(last, ()))) and last in KINDS:
         return last
     return next((kind for kind, fields in KINDS.items() if all(name in message for name in fields)), "unknown")
 
 
 def _robot(topic: object, message: Mapping[str, Any]) -> Robot | None:
-    """Return the vehicle by manufacturer and serial number, as its header or the topic names them."""
+    """Return the vehicle by manufacturer and serial number, as its header or the topic names them; None without any."""
     maker, serial = message.get("manufacturer"), message.get("serialNumber")
-    if isinstance(maker, str) and isinstance(serial, str):
+    if isinstance(maker, str) and isinstance(serial, str) and maker + serial:
         return recorded_robot(f"robot/{maker}.{serial}")
-    parts = topic.split("/") if isinstance(topic, str) else []
-    return recorded_robot(f"robot/{parts[-3]}.{parts[-2]}") if len(parts) >= 3 else None
+    parts = topic.split("/")[-3:-1] if isinstance(topic, str) else []
+    return recorded_robot("robot/" + ".".join(parts)) if len(parts) == 2 and any(parts) else None
 
 
 def _listed(message: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
@@ -239,8 +244,7 @@ def _is_named(message: Mapping[str, Any]) -> bool:
 
 
 def _order(message: Mapping[str, Any]) -> str:
-    order = message.get("orderId")
-    return order if isinstance(order, str) else ""
+    return order if isinstance(order := message.get("orderId"), str) else ""
 
 
 def _subject(order: str) -> RequestSubject[str, str, str | None]:
@@ -248,8 +252,7 @@ def _subject(order: str) -> RequestSubject[str, str, str | None]:
 
 
 def _principals(robot: Robot, decided_by: Any) -> Principals:
-    parties = Parties(requested_by=COORDINATOR, executed_by=robot, supervised_by=None)
-    return parties.decided(decided_by)
+    return Parties(requested_by=COORDINATOR, executed_by=robot, supervised_by=None).decided(decided_by)
 
 
 def _ordered(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iterator[Event]:
@@ -389,7 +392,7 @@ def _acted(vehicle: Vehicle, robot: Robot, order: str, state: Mapping[str, Any],
 
 def _connected(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iterator[Event]:
     state = message.get("connectionState")
-    if state in BROKEN and not vehicle.is_down:
+    if state in LOST and not vehicle.is_down:
         vehicle.is_down = True
         yield LinkWentDown(robot)
     elif state == "ONLINE" and vehicle.is_down:

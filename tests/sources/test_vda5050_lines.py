@@ -1,0 +1,38 @@
+"""Lines of VDA 5050 as recorders write them: with a topic, a text in place of the message, or no message at all."""
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from tests.sources import vda
+from tests.sources.importing import filed, imported, kinds
+from tests.sources.vda import order, state
+
+
+def test_a_message_as_a_text_says_what_the_message_says(tmp_path: Path) -> None:
+    night = [*vda.honest_night()]
+    texts = [line | {"payload": msgspec.json.encode(line["payload"]).decode()} for line in night]
+    for name, lines in (("texts", texts), ("whole", night)):
+        imported(tmp_path / name, filed(tmp_path, lines))
+    assert kinds(tmp_path / "texts") == kinds(tmp_path / "whole") != []
+
+
+@pytest.mark.parametrize(
+    "line", [{"payload": None}, {"payload": "no"}, {"payload": "[]"}, {"message": {"headerId": 1}}]
+)
+def test_a_topic_without_a_message_is_not_understood(tmp_path: Path, line: dict[str, Any]) -> None:
+    topic = state(2, "0001", "a")["topic"]
+    lines = [state(1, "0001", "a"), {"topic": topic, "timestamp": vda.stamp(2), **line}]
+    found = imported(tmp_path / "ledger", filed(tmp_path, lines)).not_understood
+    assert [(one.kind, one.count, one.first) for one in found] == [("unknown", 1, 2)]
+
+
+def test_vehicles_that_nobody_names_are_not_one_robot(tmp_path: Path) -> None:
+    line = order(0, "", "a")
+    line["payload"] |= {"manufacturer": "", "serialNumber": ""}
+    told = imported(tmp_path / "ledger", filed(tmp_path, [line | {"topic": "uagv/v2///order"}]))
+    assert (told.robots, [one.count for one in told.not_understood]) == ((), [1])
+    named = imported(tmp_path / "named", filed(tmp_path, [line | {"topic": "uagv/v2/KIT/7/order"}]))
+    assert named.robots == ("robot/KIT.7",)
