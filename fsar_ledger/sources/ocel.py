@@ -11,8 +11,8 @@ Memory grows with a file in JSON; a database is read row by row.
 
 The qualifiers `requester`, `executor`, `supervisor`, `decider`, `task`, `action` and `request` name the columns
 `requested_by`, `executed_by`, `supervised_by`, `decided_by`, `task_id`, `action_id` and `request_id`; any other is the
-column itself, with blanks (`on behalf of`). A log may have only one number before the colon, as in `1:robot/A1`:
-`robot/A1` of two runs is not one robot.
+column itself, with blanks (`on behalf of`). A log may have only one number before the colon, as in `1:robot/A1`, and
+only one `run_id`, also where it comes in several files: `robot/A1` of two runs is not one robot.
 """
 
 import re
@@ -138,10 +138,11 @@ def _record(item: Item, kind: str, object_id: str | None) -> Record:
     return Record(kind, item.raw, item, values, objects, item.time_us)
 
 
-def _run(item: Item) -> object:
-    """Return the number of the run that the names of an event belong to; None if they have none."""
+def _run(item: Item) -> tuple[object, str]:
+    """Return the number and the name of the run that an event belongs to, each None or null if nothing tells it."""
     matches = (_OBJECT.fullmatch(name) for name, _ in item.related)
-    return next((match[1] for match in matches if match is not None), None)
+    name = json_text(dict(item.attributes).get("run_id"))
+    return next((match[1] for match in matches if match is not None), None), name
 
 
 def _columns(item: Item) -> dict[str, Any]:

@@ -178,6 +178,17 @@ def test_of_a_log_of_several_runs_nothing_is_derived(imported: Import) -> None:
     assert (made.events, made.declared.records) == ({}, ())
 
 
+def test_of_two_logs_of_two_runs_nothing_is_derived_though_each_calls_its_run_the_first(tmp_path: Path) -> None:
+    events, files = honest_events(), []
+    for name in ("monday", "tuesday"):
+        about = [one | {"attributes": [*one["attributes"], {"name": "run_id", "value": name}]} for one in events]
+        files.append(str(tmp_path / f"{name}.json"))
+        Path(files[-1]).write_bytes(written(log(about, also=CONTEXT)))
+    both = import_records(str(tmp_path / "both"), files, format="ocel").made
+    assert (both.events, both.declared.records) == ({}, ())
+    assert import_records(str(tmp_path / "one"), files[:1], format="ocel").made.events
+
+
 def test_a_type_of_ours_of_which_one_event_cannot_come_back_is_not_declared(imported: Import) -> None:
     events = honest_events()
     events[-2]["relationships"] = []  # the last ExecutionFinished
