@@ -76,11 +76,8 @@ def event_of(tag: object, columns: Mapping[str, Any]) -> Event:
             f"field {outcome}: found none, expected one in {kind}, since how it ended is never assumed; what nobody "
             "knows more of is an observation (Observed)"
         )
-    for name, text in sorted(_without_kind(columns)):
-        if text not in ("", COORDINATOR):
-            hint = value(f"{'supervisor' if name.startswith('supervis') else 'robot'}/{text}")
-            raise UsageError(f"field {name}: found {value(text)} in {kind}, expected a kind and a name, as in {hint}")
     event = laid_out(layout, columns)
+    require_kinds(event)
     for first, second in ALIGNED if isinstance(event, Observed) else ():
         if len(getattr(event, first)) != len(getattr(event, second)):
             raise UsageError(
@@ -106,14 +103,31 @@ def laid_out(layout: StoredType, columns: Mapping[str, Any]) -> Event:
         event: Event = msgspec.convert(document, layout.cls)
     except msgspec.ValidationError as error:
         raise UsageError(_flaw(layout, f"{error}")) from error
-    for name in sorted(IDENTITIES & columns.keys()):
-        if columns[name] == "":
-            raise UsageError(f"field {name}: found an empty text in {type(event).__name__}, expected a name")
+    require_names(event)
     for name in MEASURES & columns.keys():
         if isinstance(number := columns[name], int) and number < 0:
             raise UsageError(f"field {name}: found {number} in {type(event).__name__}, expected 0 or more")
     require_outcome(event)
     return event
+
+
+def require_names(event: Event) -> None:
+    """Raises: UsageError for the name of a task, action, request or principal that is blank, as in `robot/`."""
+    for name, text in flat(event).items():
+        if name in IDENTITIES and isinstance(text, str):
+            parts = text.split("/", 1) if name in PRINCIPALS else [text]
+            if not all(map(str.strip, parts)):
+                found = value(repr(text)) if text else "an empty text"
+                raise UsageError(f"field {name}: found {found} in {type(event).__name__}, expected a name")
+
+
+def require_kinds(event: Event) -> None:
+    """Raises: UsageError for a principal without a kind, as in `A1`."""
+    for name, text in _without_kind(flat(event)):
+        if text != COORDINATOR:
+            hint = value(f"{'supervisor' if name.startswith('supervis') else 'robot'}/{text}")
+            found = f"found {value(text)} in {type(event).__name__}"
+            raise UsageError(f"field {name}: {found}, expected a kind and a name, as in {hint}")
 
 
 def _without_kind(columns: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

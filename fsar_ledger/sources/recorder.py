@@ -23,7 +23,7 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
 from fsar_ledger.ledger.store.paths import MANIFEST
 
-from .columns import Declared, declared, event_of, require_outcome, storable_text
+from .columns import Declared, declared, event_of, require_kinds, require_names, require_outcome, storable_text
 from .names import PrivateNames
 from .stored import NewEvent, StoredRun, commit, stored_run
 
@@ -319,6 +319,8 @@ class Recorder:
                     f"run {value(self.run)}, seq {self._next}, field {name}: found {content!r:.80}, expected "
                     "characters that can be printed; nothing was written"
                 )
+        require_names(event)
+        require_kinds(event)
 
     def _put(self, time_us: int, caused_by: int | None, event: Event) -> int:
         number = self._next
@@ -362,10 +364,23 @@ def origin_of(path: Path, origin: str | None, signer: Signer | None, default: st
 
 
 def _members(fleet: Fleet) -> Iterator[RobotJoined]:
-    if not isinstance(fleet, Mapping):
-        yield from fleet
-        return
-    for name, role in fleet.items():
+    """Yield the robots of a fleet. Raises: UsageError for one without a name or twice, and for anything else."""
+    known: set[str] = set()
+    for member in _joining(fleet) if isinstance(fleet, Mapping) else fleet:
+        if not isinstance(member, RobotJoined):
+            raise UsageError(
+                f"{option('fleet')}: found {member!r:.80}, expected a role for the name of each robot, or RobotJoined"
+            )
+        require_names(member)
+        require_kinds(member)
+        if member.robot in known:
+            raise UsageError(f"{option('fleet')}: found {value(member.robot)} twice, expected each robot once")
+        known.add(member.robot)
+        yield member
+
+
+def _joining(roles: Mapping[str, str]) -> Iterator[RobotJoined]:
+    for name, role in roles.items():
         robot = name if name.startswith("robot/") else f"robot/{name}"
         yield RobotJoined(robot=recorded_robot(robot), role=role, supervisor=None)
 

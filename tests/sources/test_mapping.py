@@ -313,6 +313,14 @@ def test_a_line_that_is_no_object_is_kept_and_the_others_are_read(tmp_path: Path
     assert [(one.kind, one.count) for one in made.not_understood] == [("unreadable", 3)]
 
 
+@pytest.mark.parametrize("robot", ["", " "])
+def test_a_record_that_names_nobody_is_not_understood_and_told_of_no_robot(tmp_path: Path, robot: str) -> None:
+    to = rule("ExecutionFinished", '{ "/event" = "done" }', **FINISHED | {"robot": "robot/{/robot}"})
+    lines = Input("log", None, io.BytesIO(msgspec.json.encode({"event": "done", "job": "t", "robot": robot})))
+    made = import_files(tmp_path / "out", [lines], adapter(HEAD, to), run="log")
+    assert (made.events, made.robots, [one.count for one in made.not_understood]) == ({}, (), [1])
+
+
 def test_a_robot_of_the_fleet_without_its_kind_is_refused_and_not_told_as_a_stranger(tmp_path: Path) -> None:
     """`B1` beside a fleet of `robot/B1` would offend I1, though it is the same robot."""
     bare = rule("ExecutionFinished", '{ "/event" = "done" }', **FINISHED | {"robot": "/robot"})

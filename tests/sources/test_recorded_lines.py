@@ -15,6 +15,7 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.fleet import RobotJoined
+from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.invariants import verdict_kinds
@@ -102,6 +103,40 @@ def test_a_flood_of_refused_lines_is_said_in_few_lines_and_none_is_left_out_of_t
 
 def is_begun(ledger: Path) -> bool:
     return (ledger / "ledger.json").exists() and open_ledger(ledger).has_run("night")
+
+
+@pytest.mark.parametrize(
+    ("robot", "said"),
+    [
+        ("robot/", "field robot: found 'robot/' in TaskArrived, expected a name"),
+        ("/A1", "field robot: found '/A1' in TaskArrived, expected a name"),
+        ("robot/ ", "field robot: found 'robot/ ' in TaskArrived, expected a name"),
+        ("A1", "field robot: found A1 in TaskArrived, expected a kind and a name, as in robot/A1"),
+    ],
+)
+def test_nobody_acts_without_a_kind_and_a_name_in_whatever_way_it_is_said(
+    tmp_path: Path, robot: str, said: str
+) -> None:
+    with fsar_ledger.record(tmp_path / "ledger", observes="TaskArrived", run="night") as one:
+        with pytest.raises(UsageError, match=said):
+            one.event("TaskArrived", task_id="t", robot=robot)
+        with pytest.raises(UsageError, match=said):
+            one.event(TaskArrived(task_id="t", robot=Robot(robot)))
+    assert tasks(tmp_path / "ledger") == []
+
+
+@pytest.mark.parametrize(
+    ("fleet", "said"),
+    [
+        ({"": "agv"}, "field robot: found 'robot/' in RobotJoined, expected a name"),
+        ({"A1": "agv", "robot/A1": "arm"}, "fleet: found robot/A1 twice, expected each robot once"),
+        ([RobotJoined(robot=Robot("A1"), role="agv", supervisor=None)], "expected a kind and a name"),
+        (["A1"], "fleet: found 'A1', expected a role for the name of each robot, or RobotJoined"),
+    ],
+)
+def test_a_fleet_names_each_of_its_robots_once(tmp_path: Path, fleet: Any, said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        fsar_ledger.record(tmp_path / "ledger", fleet=fleet)
 
 
 def test_the_fleet_of_a_file_may_have_dotted_names(tmp_path: Path) -> None:

@@ -371,7 +371,7 @@ def test_any_calls_leave_what_was_taken_and_nothing_else(
     ledger = tmp_path_factory.mktemp("any") / "ledger"
     one, taken = recorder(ledger), list[str]()
     for what, text in calls:
-        name = storable_text(text)
+        name = f"t{storable_text(text)}"
         if what == "reopen":
             one.close()
             one = recorder(ledger)
