@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 import msgspec
 
 from fsar_ledger.base import printable
-from fsar_ledger.base.errors import UsageError, option
+from fsar_ledger.base.errors import UsageError, checked, option
 from fsar_ledger.base.printable import SafeText
 
 from .answers import Answer, Plain, Screen
+from .key import origin_of as named_origin
 from .names import Names, Place, Run, names_of
 from .verbs import KeyOption, argument, declare, verb
 
@@ -47,6 +48,7 @@ BESIDE = ("command", "by", "key")
 """The keys that a line may have beside the fields of its command."""
 
 
+@checked
 def federate(
     out: Place,
     *,
@@ -96,7 +98,7 @@ def federate(
     if not run:
         raise UsageError("run: found an empty name, expected one with at least a letter")
     path, signer = Path(out), None if key is None else read_signer(Path(key))
-    name = origin_of(path, origin, signer, ORIGIN)
+    name = origin_of(path, named_origin(origin), signer, ORIGIN)
     is_continued = kept_origin(path) is not None and open_ledger(path).has_run(run)
     federation = Federation(
         path,

@@ -5,6 +5,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fsar_ledger.base.errors import checked
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.ledger.opening import open_checked, open_for_answers
 from fsar_ledger.metrics.verified import ensure_verified, is_remembered
@@ -55,6 +56,7 @@ class Ledger:
             head are refused. A function that compares them and returns it is called when the ledger is first read.
     """
 
+    @checked
     def __init__(self, path: Place, *, demanded: str | Callable[[], str | None] | None = None) -> None:
         self.path = Path(path)
         self._demanded = demanded
@@ -87,6 +89,7 @@ class Ledger:
         """Return a row for each run, with its number, architecture, configuration, scenario, seed and fleet size."""
         return self.query("staging/runs")
 
+    @checked
     def events(
         self,
         run: Run | None = None,
@@ -146,6 +149,7 @@ class Ledger:
 
     # --- queries ---
 
+    @checked
     def query(self, name: str, /, **parameters: object) -> "Table":
         """Answer a packaged query (`queries()` lists them); a parameter of None has its default.
 
@@ -173,6 +177,7 @@ class Ledger:
             rows = database.query(name, values)
             return Table(rows, of_rows(database, query, full if chosen else None))
 
+    @checked
     def queries(self, *, all: bool = False) -> "Table":
         """Return the packaged queries by group, each with its title and its parameters.
 
@@ -199,6 +204,7 @@ class Ledger:
         }
         return Table(pa.table(columns))
 
+    @checked
     def query_text(self, name: str) -> str:
         """Return the SQL of a packaged query with its header, which says what its rows and its NULLs mean.
 
@@ -210,14 +216,15 @@ class Ledger:
         return text_of(name)
 
     sql = _query.sql
-    requests = _explain.requests
+    requests = checked(_explain.requests)
     explain = _explain.explain
 
     log = _log.log
-    stream_log = _log.stream_log
+    stream_log = checked(_log.stream_log)
 
     # --- replays ---
 
+    @checked
     def record(self, run: Run) -> "LedgerRun":
         """Return the record of a run: its events, each with its time and the seq of its cause.
 
@@ -229,15 +236,15 @@ class Ledger:
     step = _state.step
     state = _state.state
     why = _why.why
-    verdicts = _why.verdicts
+    verdicts = checked(_why.verdicts)
     diff = _diff.diff
-    fork = _whatif.fork
+    fork = checked(_whatif.fork)
     whatif = _whatif.whatif
-    changeable = _whatif.changeable
+    changeable = checked(_whatif.changeable)
     cause = _cause.cause
     bisect = _bisect.bisect
     view = _view.view
-    trace = _view.trace
+    trace = checked(_view.trace)
 
     hand_over = _federate.hand_over
 
@@ -285,6 +292,7 @@ def demanded_head(ledger: Path, *, verified: bool, progress: Progress | None = N
     return newest if is_remembered(newest) else ensure_verified(ledger, readers_of(None, ledger), progress)
 
 
+@checked
 def open_ledger(path: Place, *, verified: bool = False, progress: Progress | None = None) -> Ledger:
     """Open the ledger in this folder.
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from fsar_ledger.base import printable, utc
-from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.metrics.sql_values import PRINCIPALS, RUNS, TIME, names_on_record, require_known
 from fsar_ledger.metrics.verified import is_verified_for_runs, require_runs
 
@@ -273,7 +273,9 @@ def recorded(ledger: "Ledger", view: "View", run: "Run", *, is_whole: bool = Fal
 
 
 def ledgers_of(ledger: "Ledger", other: "Ledger | Place | None") -> "list[Ledger]":
-    """Return the ledger, and the other one if it is given, opened."""
+    """Return the ledger, and the other one if it is given, opened. Raises: UsageError unless that is a ledger."""
     if other is None:
         return [ledger]
+    if not isinstance(other, str | PathLike | type(ledger)):
+        raise UsageError(f"{option('other')}: found {other!r:.80}, expected a ledger, or its path")
     return [ledger, type(ledger)(other) if isinstance(other, str | PathLike) else other]

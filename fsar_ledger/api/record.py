@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 
 from fsar_ledger.base import printable, utc
-from fsar_ledger.base.errors import InvalidRun, SequenceConflict, UsageError, option
+from fsar_ledger.base.errors import InvalidRun, SequenceConflict, UsageError, checked, option
 from fsar_ledger.base.printable import SafeText, counted
 from fsar_ledger.base.progress import Progress
 
 from .answers import Answer, Screen, head_json
+from .key import origin_of
 from .names import Names, Place, names_of
 from .verbs import AdoptOption, Gives, KeyOption, Shows, argument, declare, switch, verb
 
@@ -31,6 +32,7 @@ TAKEN_STAYS = "every event that was taken is on disk, and the same command conti
 COMMITTED_STAYS = "what is committed stays, and the same command continues there"
 
 
+@checked
 def record(
     out: Place,
     *,
@@ -72,7 +74,7 @@ def record(
         run=run,
         source=source,
         epoch=epoch,
-        origin=origin,
+        origin=origin_of(origin),
         signer=None if key is None else read_signer(Path(key)),
         names=None if private_names is None else PrivateNames(Path(private_names)),
     )
@@ -146,14 +148,13 @@ def record_lines(
     from fsar_ledger.sources.columns import tell
 
     robots = named_robots(Path(fleet)) if fleet is not None else {}
-    begins = None if epoch is None else _time(epoch)
     with record(
         out,
         fleet=robots,
         observes=observes,
         run=run,
         source=source,
-        epoch=begins,
+        epoch=None if epoch is None else _time(epoch),
         origin=origin,
         key=key,
         private_names=private_names,
@@ -231,7 +232,9 @@ class ImportResult(Answer, msgspec.Struct, frozen=True):
 )
 def import_records(
     out: Annotated[Place, argument("OUT", "A new folder, or that of a ledger to add to.")],
-    logs: Annotated[Sequence[str], argument("LOG...", "Files of the recording, in their order; - is standard input.")],
+    logs: Annotated[
+        Sequence[Place], argument("LOG...", "Files of the recording, in their order; - is standard input.")
+    ],
     *,
     format: str | None = declare("NAME", "The format of the recording.", flag="--as"),
     mapping: Place | None = declare("FILE", "A mapping of your own format (docs/sources/mapping.md).", flag="--with"),
@@ -269,7 +272,7 @@ def import_records(
             fleet=None if fleet is None else named_robots(Path(fleet)),
             mapping_sha256=mapping_sha256,
             keeps_bodies=bodies,
-            origin=origin,
+            origin=origin_of(origin),
             signer=None if key is None else read_signer(Path(key)),
             progress=progress,
         )
@@ -355,8 +358,6 @@ def shards(
     from fsar_ledger.ledger.store.shards import newest, record_of_head
     from fsar_ledger.metrics.verified import models_of
     from fsar_ledger.sources.recorder import kept_origin
-
-    from .key import origin_of
 
     path, signer, kept = Path(log), None if key is None else read_signer(Path(key)), kept_origin(Path(log))
     heads = [] if kept is None else _heads(open_checked(path))

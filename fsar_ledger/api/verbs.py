@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar
 
-from fsar_ledger.base.errors import UsageError, option
+from fsar_ledger.base.errors import UsageError, checked, option
 
 from .names import By, Names, Place, Pool, Run, require_whole
 
@@ -174,6 +174,8 @@ def verb(
         _settle(function)
         if call is not None:
             _settle(call)
+        function.__doc__ = _documented(function)
+        function = checked(function)
         command = name or function.__name__.replace("_", "-")
         calls = tuple(f"fsar-ledger {example}" if example.startswith(command) else example for example in examples)
         VERBS[command] = Verb(
@@ -188,7 +190,6 @@ def verb(
             arrange,
             memory_factor,
         )
-        function.__doc__ = _documented(function)
         return function
 
     return register

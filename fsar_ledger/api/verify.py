@@ -177,7 +177,7 @@ def verify(
     ),
     workers: WorkersOption = None,
     progress: Annotated[Progress | None, Shows("verified", "segments", {"replay": "verified and replayed"})] = None,
-    now_s: Annotated[int | None, Gives("now")] = None,
+    now_s: Annotated[float | None, Gives("now")] = None,
 ) -> Verification:
     """Check a ledger: derive every hash, count and record again from its rows.
 
@@ -208,7 +208,8 @@ def verify(
     anchored = anchor_of(anchor, trusted)
     policy = None if witness_policy is None else Path(witness_policy)
     # Before the check, during which the ledger may grow.
-    witnessed = answers_of(path, policy, list(map(Path, cosigned or ())), trusted, now_s)
+    present_s = None if now_s is None else int(now_s)
+    witnessed = answers_of(path, policy, list(map(Path, cosigned or ())), trusted, present_s)
     if trusted is None and witnessed is not None:
         trusted = witnessed.log
     options = VerifyOptions(quick, trusted, anchored, witnessed.evidence.checkpoints if witnessed is not None else ())

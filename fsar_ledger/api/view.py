@@ -88,7 +88,7 @@ def view(
     second: Run | None = declare(
         "RUN", "Show this run, too, below the other; their first difference is marked.", complete="runs", flag="--with"
     ),
-    other: "Ledger | None" = declare("LEDGER", "The ledger that holds the run of --with.", "LEDGER"),
+    other: "Ledger | Place | None" = declare("LEDGER", "The ledger that holds the run of --with.", "LEDGER"),
 ) -> Picture:
     """Write a page that shows a run: who did what when, what held at any moment, and every event.
 
@@ -103,15 +103,18 @@ def view(
     from fsar_ledger.runtime.forks import parts_at
     from fsar_ledger.view import page
 
+    from .lookup import ledgers_of
+
     file = Path(out)
     require_picture(file, PAGE, "out")
+    beside = None if other is None else ledgers_of(ledger, other)[1]
     pages = [_page_options(ledger, run)]
     first = None
-    if second is not None or other is not None:
+    if second is not None or beside is not None:
         upper = pages[0][0].drawn.run
-        pages.append(_page_options(other or ledger, upper.run_id if second is None else second))
+        pages.append(_page_options(beside or ledger, upper.run_id if second is None else second))
         lower = pages[1][0].drawn.run
-        if lower.run_id == upper.run_id and (other is None or other.path.resolve() == ledger.path.resolve()):
+        if lower.run_id == upper.run_id and (beside is None or beside.path.resolve() == ledger.path.resolve()):
             raise UsageError(
                 f"{option('second', second)}: found run {printable.value(upper.run_id)} twice, expected two runs; name "
                 "another one"
@@ -121,7 +124,7 @@ def view(
     _write(file, content)
     runs = tuple(picture.drawn.run.run_id for picture, _ in pages)
     provenances = [provenance for _, provenance in pages]
-    if other is None:
+    if beside is None:
         return Picture(file, len(content), runs, first, _together(provenances))
     return Picture(file, len(content), runs, first, *provenances)
 

@@ -21,7 +21,7 @@ from typing import Any, BinaryIO, Literal, NamedTuple, Protocol, TypeVar
 import msgspec
 
 from fsar_ledger.base import utc
-from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.base.printable import did_you_mean, value
 from fsar_ledger.events import Event
 
@@ -141,14 +141,14 @@ def adapter_named(name: str) -> Adapter:
     adapters = _installed()
     if name not in adapters:
         raise UsageError(
-            f"--as {value(name)}: found no adapter of that name, expected one of {', '.join(sorted(adapters))}"
-            f"{did_you_mean(name, adapters)}; or describe the format in a mapping (--with)"
+            f"{option('format', value(name))}: found no adapter of that name, expected one of "
+            f"{', '.join(sorted(adapters))}{did_you_mean(name, adapters)}; or describe it by {option('mapping')}"
         )
     try:
         adapter: Adapter = adapters[name].load()()
     except ModuleNotFoundError as error:
         raise UsageError(
-            f"--as {name}: found no module {error.name}, which it needs; install it with `pip install "
+            f"{option('format', name)}: found no module {error.name}, which it needs; install it with `pip install "
             f"'fsar-ledger[{name}]'`"
         ) from error
     return adapter
@@ -193,7 +193,7 @@ def adapter_of(name: str | None, mapping: Path | None) -> tuple[Adapter, str | N
         found = "neither" if name is None else "both"
         names = ", ".join(sorted(_installed()))
         raise UsageError(
-            f"import: found {found} of --as and --with, expected --as with one of {names}, or --with and a mapping"
+            f"import: found {found} of {option('format')} and {option('mapping')}, expected {names}, or a mapping"
         )
     if name is not None:
         return adapter_named(name), None

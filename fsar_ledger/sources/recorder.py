@@ -11,7 +11,7 @@ from pathlib import Path
 from threading import RLock
 
 from fsar_ledger.base import utc
-from fsar_ledger.base.errors import FsarLedgerError, InvalidRun, UsageError, option
+from fsar_ledger.base.errors import FsarLedgerError, InvalidRun, UsageError, checked, option
 from fsar_ledger.base.printable import counted, value
 from fsar_ledger.events import CONCERN_OF, Event
 from fsar_ledger.events.envelope import flat, recorded_robot
@@ -58,6 +58,7 @@ class Recorder:
         NotALedger, LedgerCorrupted, WriteFailed: As `Writer`.
     """
 
+    @checked
     def __init__(
         self,
         path: Path,
@@ -96,6 +97,7 @@ class Recorder:
             self._writer.close()
             raise
 
+    @checked
     def event(
         self, event: Event | str, *, at: datetime | None = None, caused_by: int | None = None, **columns: object
     ) -> int:
@@ -124,6 +126,7 @@ class Recorder:
             self._is_live = at is None
             return number
 
+    @checked
     def observed(
         self,
         kind: str,
@@ -178,6 +181,7 @@ class Recorder:
             finally:
                 self._batch = None
 
+    @checked
     def run_time_us(self, when: datetime) -> int:
         """Return the run time of a moment; one without a zone is UTC. Units: microseconds."""
         return (utc.zoned(when) - self._epoch) // utc.MICROSECOND
@@ -364,13 +368,9 @@ def origin_of(path: Path, origin: str | None, signer: Signer | None, default: st
 
 
 def _members(fleet: Fleet) -> Iterator[RobotJoined]:
-    """Yield the robots of a fleet. Raises: UsageError for one without a name or twice, and for anything else."""
+    """Yield the robots of a fleet. Raises: UsageError for one without a name, or twice."""
     known: set[str] = set()
     for member in _joining(fleet) if isinstance(fleet, Mapping) else fleet:
-        if not isinstance(member, RobotJoined):
-            raise UsageError(
-                f"{option('fleet')}: found {member!r:.80}, expected a role for the name of each robot, or RobotJoined"
-            )
         require_names(member)
         require_kinds(member)
         if member.robot in known:

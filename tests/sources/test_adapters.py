@@ -33,7 +33,7 @@ def test_an_adapter_that_others_publish_is_found_by_its_entry_point(monkeypatch:
 
 
 def test_an_adapter_that_nobody_publishes_is_an_error_with_the_nearest_name() -> None:
-    with pytest.raises(UsageError, match=r"--as vda505: found no adapter of that name, .*did you mean vda5050"):
+    with pytest.raises(UsageError, match=r"format=vda505: found no adapter of that name, .*did you mean vda5050"):
         adapter_named("vda505")
 
 

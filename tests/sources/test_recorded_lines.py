@@ -19,7 +19,7 @@ from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.invariants import verdict_kinds
-from tests.cli.conftest import Call, Called
+from tests.cli.conftest import Call, Called, one_message
 from tests.sources.importing import rows
 from tests.sources.test_recorder import COMMAND, tasks
 
@@ -131,7 +131,7 @@ def test_nobody_acts_without_a_kind_and_a_name_in_whatever_way_it_is_said(
         ({"": "agv"}, "field robot: found 'robot/' in RobotJoined, expected a name"),
         ({"A1": "agv", "robot/A1": "arm"}, "fleet: found robot/A1 twice, expected each robot once"),
         ([RobotJoined(robot=Robot("A1"), role="agv", supervisor=None)], "expected a kind and a name"),
-        (["A1"], "fleet: found 'A1', expected a role for the name of each robot, or RobotJoined"),
+        (["A1"], r"fleet: found \['A1'\], expected a mapping of names or a list of RobotJoined"),
     ],
 )
 def test_a_fleet_names_each_of_its_robots_once(tmp_path: Path, fleet: Any, said: str) -> None:
@@ -251,3 +251,14 @@ def test_a_recorder_that_records_less_than_its_run_says_is_refused(tmp_path: Pat
         with fsar_ledger.record(tmp_path / "ledger", run="night", observes=same, fleet=fleet) as one:
             one.event("TaskArrived", task_id="a")
     assert tasks(tmp_path / "ledger") == ["a", "a", "a"]
+
+
+def test_a_name_that_no_ledger_can_have_is_refused_before_there_is_one(tmp_path: Path, call: Call) -> None:
+    log, said = tmp_path / "log.jsonl", "--origin 'a b': expected a printable name without spaces and plus signs"
+    log.write_text('{"type": "dispatch_task_request", "request": {}}\n')
+    out = tmp_path / "out"
+    for words in (("record", out), ("import", out, log, "--as", "rmf"), ("federate", out, "run")):
+        one_message(call(*words, "--origin", "a b"), 2, said)
+    with pytest.raises(UsageError, match=r"^origin='a b': expected a printable name"):
+        fsar_ledger.record(out, origin="a b")
+    assert not out.exists()
