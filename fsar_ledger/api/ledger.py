@@ -31,7 +31,7 @@ from . import verify as _verify
 from . import view as _view
 from . import whatif as _whatif
 from . import why as _why
-from .lookup import AboutRun, about_run, numbers_of, parameters_of, recorded, resolve_run, robot_of, time_of
+from .lookup import AboutRun, about_run, numbers_of, parameters_of, recorded, resolve_run, robot_of, run_time, time_of
 from .names import Place, Run, Time
 from .verbs import readers_of
 
@@ -106,15 +106,18 @@ class Ledger:
 
         from .events import Events, Filter, span
 
-        since_us, until_us = span(since, until)
         name = None
-        if run is not None or robot is not None or since is not None:
+        if any(given is not None for given in (run, since, until, robot)):
             with self.database() as database:
                 if run is not None:
                     view = open_for_answers(self.path)
                     name = resolve_run(database, whole_of(view, run) if run in view.run_names.runs else run, self.path)
+                since, until = (
+                    run_time(database, side, time, name) for side, time in (("since", since), ("until", until))
+                )
                 robot = None if robot is None else robot_of(database, robot, name)
                 time_of(database, "since", since, name)
+        since_us, until_us = span(since, until)
         return Events(self.path, Filter(name, since_us, until_us, robot), self.demanded)
 
     def numbers(self) -> dict[str, int]:

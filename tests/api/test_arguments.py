@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Callable
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -90,6 +90,18 @@ def test_what_was_observed_is_told_by_texts(tmp_path: Path) -> None:
 
 def test_the_present_time_is_as_a_clock_tells_it(ledger: Ledger) -> None:
     assert ledger.verify(now_s=1_772_359_200.5).ok
+
+
+def test_a_time_of_day_is_a_time_of_the_run_in_every_question(tmp_path: Path) -> None:
+    began = datetime(2026, 3, 1, 10, tzinfo=UTC)
+    with fsar_ledger.record(tmp_path / "out", epoch=began, run="night") as one:
+        for second in range(5):
+            one.observed(f"{second}", at=began + timedelta(seconds=second))
+    asked, times = Ledger(tmp_path / "out"), ("2026-03-01T10:00:01Z", "2026-03-01T12:00:03+02:00")
+    assert [logged.time_s for logged in asked.events("night", *times)] == [1, 2]
+    assert [line["time_s"] for line in asked.log("night", *times)] == [1, 2]
+    with pytest.raises(UsageError, match=r"^until: found the time of day 2026-.* for every run; expected seconds"):
+        asked.events(until=times[1])
 
 
 def test_what_is_no_question_of_types_is_left_to_the_function() -> None:
