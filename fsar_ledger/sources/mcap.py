@@ -74,6 +74,10 @@ class Mcap:
 
         A stream, which cannot be read twice, may have one. Raises: UsageError for files without a record, or as `read`.
         """
+        for log in inputs:
+            if log.path is not None:
+                _require_magic(log)
+                log.file.seek(0)
         if any(log.path is None for log in inputs):
             return
         is_empty, self._has_statuses = True, False
@@ -101,11 +105,7 @@ class Mcap:
     def read(self, inputs: Iterable[Input]) -> Iterator[Record]:
         """Yield every message, in the order of the file. Raises: UsageError for a file that is not MCAP."""
         for log in inputs:
-            if (magic := log.file.read(len(MAGIC))) != MAGIC:
-                raise UsageError(
-                    f"{value(log.name)}: found {magic!r} at its beginning, expected a file of MCAP ({MAGIC!r}); give "
-                    "the format that it has (--as, --with)"
-                )
+            _require_magic(log)
             self._channels, self._schemas = {}, {}
             is_ended = is_cut = False
             for framed in _framed(log.file):
@@ -211,6 +211,14 @@ class Mcap:
                 yield ExecutionWithdrawn(subject, robot, 1)
             case "CANCELED":
                 yield ExecutionWithdrawn(subject, robot)
+
+
+def _require_magic(log: Input) -> None:
+    if (magic := log.file.read(len(MAGIC))) != MAGIC:
+        raise UsageError(
+            f"{value(str(log.path or log.name))}: found {magic!r} at its beginning, expected a file of MCAP "
+            f"({MAGIC!r}); give the format that it has (--as, --with)"
+        )
 
 
 def _framed(file: BinaryIO) -> Iterator[Framed]:

@@ -127,6 +127,18 @@ def test_another_file_is_refused(tmp_path: Path) -> None:
         imported(tmp_path, b"#ROSBAG V2.0\n")
 
 
+@pytest.mark.parametrize("other", [b"", b"{}\n"])
+def test_another_file_behind_a_bag_is_refused_before_anything_is_recorded(
+    call: Call, tmp_path: Path, other: bytes
+) -> None:
+    bag, wrong = tmp_path / "night.mcap", tmp_path / "wrong.mcap"
+    bag.write_bytes(bags.written(bags.honest_night()))
+    wrong.write_bytes(other)
+    refused = call("import", tmp_path / "ledger", bag, wrong, "--as", "mcap")
+    assert (refused.code, f"{wrong}: found" in refused.err) == (2, True)
+    assert not (tmp_path / "ledger").exists()
+
+
 @pytest.mark.parametrize(
     ("messages", "judged"),
     [
