@@ -150,7 +150,7 @@ _RUN = _Key("run", "")
 class _Span(msgspec.Struct):
     """A span so far: the seqs of its first and last event, what ended it, and its own events.
 
-    `about` has the first value on record of each field.
+    `about` has the first value on record of each field, but the last execution's robot and capability.
     """
 
     parent: _Key | None
@@ -235,7 +235,7 @@ def _follow(span: _Span, event: Event, columns: dict[str, Any], seq: int) -> Non
     span.last = seq
     span.is_executed |= type(event).__name__ in EXECUTED
     if type(event).__name__ == "ExecutionStarted":
-        span.about["executor"] = columns["robot"]
+        span.about |= {"executor": columns["robot"], "capability": columns["capability"]}
     for name in ("capability", "robot", "requested_by", "executed_by"):
         if columns.get(name) is not None:
             span.about.setdefault(name, columns[name])

@@ -204,6 +204,18 @@ def test_what_was_withdrawn_without_a_failure_has_not_failed_when_it_is_read_aga
     assert made == {"ExecutionStarted": 1, "ExecutionWithdrawn": 1, **failed}
 
 
+def test_a_tool_is_what_was_executed_and_not_what_was_asked_for(tmp_path: Path) -> None:
+    about: dict[str, Any] = {"task_id": "t", "action_id": "t/1"}
+    with fsar_ledger.record(tmp_path / "ledger", run="r", observes=["execution", "request"]) as recorder:
+        recorder.event("RequestIssued", **about, decided_by="robot/b", executed_by="robot/a", capability="carry.linen")
+        recorder.event("ExecutionStarted", **about, robot="robot/a", capability="carry.medicine")
+    fsar_ledger.open_ledger(tmp_path / "ledger").export(tmp_path / "out.json", format="otlp")
+    again = import_records(str(tmp_path / "again"), [str(tmp_path / "out.json")], format="otlp").ledger
+    assert asked_of(again.path, "SELECT robot, capability FROM execution_started") == [
+        {"robot": "robot/a", "capability": "carry.medicine"}
+    ]
+
+
 def test_what_an_event_ended_is_not_open(runs: list[LedgerRun], tmp_path: Path) -> None:
     """A run up to the end of its first execution, whose step is not yet complete."""
     run = runs[0]
