@@ -28,7 +28,7 @@ from .adapter import BOM, MAX_LINE
 if TYPE_CHECKING:
     from .recorder import Recorder
 
-BY_ITSELF = ("SourceOpened", "SourceClosed", "RunContinued")
+BY_ITSELF = ("RunStarted", "SourceOpened", "SourceClosed", "RunContinued")
 """The event types that a recorder adds by itself."""
 LAYOUT_OF: dict[str, StoredType] = {
     name: layout
@@ -63,7 +63,7 @@ def event_of(tag: object, columns: Mapping[str, Any]) -> Event:
     layout = LAYOUT_OF.get(kind)
     if layout is None or tag not in (kind, layout.tag):
         hint = did_you_mean(kind, [*LAYOUT_OF, *BY_ITSELF]) if layout is None else f", {kind} or {layout.tag}"
-        by_itself = " that is not said of its own accord" if kind in BY_ITSELF else hint
+        by_itself = " that a recorder does not add by itself" if kind in BY_ITSELF else hint
         raise UsageError(f"field type: found {value_text(tag)}, expected an event type{by_itself}")
     known = {field.name: field for field in layout.fields}
     if unknown := sorted(columns.keys() - known.keys()):
@@ -244,7 +244,8 @@ def _record(recorder: "Recorder", event: Event, time: datetime | None, caused_by
     except UsageError as error:
         if not f"{error}".startswith("at: "):  # the name that the time has in Python
             raise
-        raise UsageError(f"field time: {f'{error}'.removeprefix('at: ')}".replace("`at`", "`time`")) from error
+        why = f"{error}".removeprefix("at: ").replace("`at`", "`time`").replace("`source_time`", "`source_time_us`")
+        raise UsageError(f"field time: {why}") from error
 
 
 def numbered_lines(file: BinaryIO) -> Iterator[tuple[int, bytes]]:

@@ -60,7 +60,11 @@ def refused(recorder: Recorder, data: bytes) -> str:
         (line({"type": "ExecutionStartet"}), "did you mean ExecutionStarted?"),
         (line(STARTED, type="ExecutionStarted.v9"), "expected an event type, ExecutionStarted or ExecutionStarted.v1"),
         (line({"type": "RunStarted"}), "field type: found RunStarted"),
-        (line({"type": "SourceClosed"}), "expected an event type that is not said of its own accord"),
+        (
+            line({"type": "RunStarted"}),
+            "found RunStarted, expected an event type that a recorder does not add by itself",
+        ),
+        (line({"type": "SourceClosed"}), "expected an event type that a recorder does not add by itself"),
         (line({"type": "TaskArrived", "task_id": "t", "budget_us": -5}), "field budget_us: found -5 in TaskArrived"),
         (
             line(
@@ -73,7 +77,7 @@ def refused(recorder: Recorder, data: bytes) -> str:
             "field outcome: found deny in RequestAdmitted, expected allow or review: a request that is not allowed is "
             "recorded as RequestDenied",
         ),
-        (line({"type": "RunContinued"}), "expected an event type that is not said of its own accord"),
+        (line({"type": "RunContinued"}), "expected an event type that a recorder does not add by itself"),
         (
             line({"type": "TaskCompleted", "task_id": "t"}),
             "field type: found TaskCompleted, expected an",
@@ -101,6 +105,10 @@ def refused(recorder: Recorder, data: bytes) -> str:
         (line(STARTED, time="noon"), "field time: found noon"),
         (line(STARTED, time="0001-01-01T00:00:00+14:00"), "field time: found 0001-01-01T00:00:00+14:00"),
         (line(STARTED, time="2001-01-01T00:00:00Z"), "field time: found 2001-01-01T00:00:00+00:00"),
+        (
+            line(STARTED, time="2001-01-01T00:00:00Z"),
+            "keep the time of the source in an observation (`source_time_us`)",
+        ),
         (line(STARTED, caused_by=True), "field caused_by: found true, expected the number of an earlier event"),
         (line(STARTED, caused_by="1"), "field caused_by: found 1, expected the number"),
         (line(STARTED, caused_by=99), "field caused_by: found 99, expected the number"),
