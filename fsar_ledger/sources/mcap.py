@@ -165,7 +165,8 @@ class Mcap:
                 data = msgspec.json.decode(message.data, type=dict[str, Any])
             except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
                 return unreadable(message.data, f"{channel.topic}: {error}")
-            values |= {name: json_text(item) for name, item in data.items() if not isinstance(item, dict | list)}
+            plain = ((name, json_text(item)) for name, item in data.items() if not isinstance(item, dict | list))
+            values |= {f"message/{name}" if name in values else name: text for name, text in plain}
         return Record(
             _kind(kind, data or {}),
             message.data,

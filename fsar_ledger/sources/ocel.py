@@ -134,7 +134,8 @@ def _record(item: Item, kind: str, object_id: str | None) -> Record:
         earlier = objects.get(name)
         objects[name] = qualifier if earlier is None else f"{earlier}, {qualifier}"
     values = {"id": item.id} if object_id is None else {}
-    values |= {name: json_text(attribute) for name, attribute in item.attributes}
+    for number, (name, attribute) in enumerate(item.attributes, start=1):
+        values[f"{name}/{number}" if name in values else name] = json_text(attribute)
     return Record(kind, item.raw, item, values, objects, item.time_us)
 
 

@@ -142,9 +142,10 @@ class Vda5050:
         if isinstance(order := message.get("orderId"), str) and order:
             about[f"task/{order}"] = "order"
         values = {name: json_text(message[name]) for name in SHOWN if name in message}
-        for error in _listed(message, "errors"):
+        for number, error in enumerate(_listed(message, "errors"), start=1):
             if isinstance(error.get("errorType"), str):
-                values[f"error/{error['errorType']}"] = json_text(error)
+                name = f"error/{error['errorType']}"
+                values[f"{name}/{number}" if name in values else name] = json_text(error)
         arrived = line.get("received", line.get("arrival", line.get("time")))
         return Record(
             kind if kind != "state" else f"state/{values.get('operatingMode')}",
@@ -181,10 +182,8 @@ class Vda5050:
                 for action in (*_listed(message, "actions"), *_listed(message, "instantActions")):  # the second of 2.0
                     vehicle.instant[str(action.get("actionId"))] = str(action.get("actionType"))
                 return ()
-            case "visualization" | "factsheet" | "responses" | "zoneSet":
+            case _:  # visualization, factsheet, responses, zoneSet
                 return ()
-            case _:
-                return None
         return [Derived(event) for event in events]
 
 

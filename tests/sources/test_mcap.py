@@ -53,6 +53,20 @@ def test_what_is_not_json_is_an_observation_with_kind_topic_time_and_hash(tmp_pa
     assert (scan["time_us"], scan["source_time_us"]) == (4_000_000, 3_999_000)
 
 
+def test_a_message_that_has_an_encoding_of_its_own_hides_neither(tmp_path: Path) -> None:
+    image = bags.Said("/r1/camera", "sensor_msgs/msg/Image", {"encoding": "rgb8", "topic": "front", "height": 2})
+    imported(tmp_path, bags.written([image]))
+    (row,) = seen(tmp_path)
+    told = dict(zip(row["names"], row["texts"], strict=True))
+    assert told == {
+        "topic": "/r1/camera",
+        "encoding": "json",
+        "height": "2",
+        "message/topic": "front",
+        "message/encoding": "rgb8",
+    }
+
+
 def test_logs_and_service_events_say_what_they_are(tmp_path: Path) -> None:
     imported(tmp_path, bags.written(bags.honest_night()))
     found = {row["kind"] for row in seen(tmp_path)}

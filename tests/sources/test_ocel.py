@@ -61,6 +61,11 @@ def test_an_event_is_observed_with_its_objects_and_qualifiers_in_order_of_time(i
     assert [row["source_time_us"] for row in found[2:]] == [0, 10_000_000, 20_000_000]
 
 
+def test_an_event_that_has_an_attribute_id_keeps_its_own_id_beside_it(imported: Import) -> None:
+    (placed,) = rows(imported(log([event("e1", "place order", 10, id="17", channel="web")])), "Observed")
+    assert dict(zip(placed["names"], placed["texts"], strict=True)) == {"id": "e1", "id/1": "17", "channel": "web"}
+
+
 def test_an_object_is_observed_with_its_attributes_and_what_it_is_related_to(imported: Import) -> None:
     order = rows(imported(orders()), "Observed")[1]
     assert dict(zip(order["names"], order["texts"], strict=True)) == {"price": "10", "price@2026-03-01T10:00:05Z": "9"}

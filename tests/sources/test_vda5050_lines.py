@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from tests.sources import vda
-from tests.sources.importing import filed, imported, kinds
+from tests.sources.importing import filed, imported, kinds, rows
 from tests.sources.vda import order, state
 
 
@@ -27,6 +27,15 @@ def test_a_topic_without_a_message_is_not_understood(tmp_path: Path, line: dict[
     lines = [state(1, "0001", "a"), {"topic": topic, "timestamp": vda.stamp(2), **line}]
     found = imported(tmp_path / "ledger", filed(tmp_path, lines)).not_understood
     assert [(one.kind, one.count, one.first) for one in found] == [("unknown", 1, 2)]
+
+
+def test_two_errors_of_one_type_are_both_observed(tmp_path: Path) -> None:
+    errors = [{"errorType": "sensor", "errorDescription": where} for where in ("left", "right")]
+    imported(tmp_path / "ledger", filed(tmp_path, [state(1, "0001", "a", errors=errors)]))
+    (seen,) = (row for row in rows(tmp_path / "ledger") if row["type"] == "Observed.v1")
+    told = {name: text for name, text in zip(seen["names"], seen["texts"], strict=True) if name.startswith("error/")}
+    assert [*told] == ["error/sensor", "error/sensor/2"]
+    assert [msgspec.json.decode(text) for text in told.values()] == errors
 
 
 def test_vehicles_that_nobody_names_are_not_one_robot(tmp_path: Path) -> None:
