@@ -89,7 +89,7 @@ def prove(
 
     signer = _signer(format, out, key)
     if out is not None:
-        if os.path.lexists(out):
+        if os.path.lexists(Path(out)):
             raise UsageError(f"{option('out', out)}: found a file, expected a free name; a proof is never overwritten")
         require_outside(Path(out), option("out", out))
     view = open_for_answers(ledger.path)

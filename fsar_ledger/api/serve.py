@@ -72,11 +72,13 @@ class ServedFederation(Answer):
 
     def _ask_witnesses(self, ended: Event) -> None:
         """Have the newest checkpoint cosigned at intervals, as `witness ask` does, until the service has ended."""
+        from fsar_ledger.ledger.store.paths import beside
+
         from .files import write_text
         from .key import witness_ask
         from .ledger import open_ledger
 
-        file = self._out.with_name(f"{self._out.name}.cosigned")
+        file = beside(self._out, ".cosigned")
         while not ended.wait(self._given["witness_every"]):
             try:
                 cosigned = witness_ask(open_ledger(self._out), self._given["policy"])

@@ -26,6 +26,7 @@ from fsar_ledger.base.printable import value
 from fsar_ledger.ledger.rows.codec import decode
 from fsar_ledger.ledger.rows.runs import LedgerRun, joined
 from fsar_ledger.ledger.rows.schema import SCHEMA
+from fsar_ledger.ledger.store.paths import beside
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.record import Head
 from fsar_ledger.projections.fold import SLOTS, State
@@ -80,7 +81,7 @@ def drop(ledger: Path, run: str) -> None:
 
 def snapshot_path(ledger: Path, run: str) -> Path:
     """Return the path of the run's snapshot."""
-    return ledger.with_name(f"{ledger.name}.snapshots") / hashlib.sha256(run.encode()).hexdigest()[:16]
+    return beside(ledger, ".snapshots") / hashlib.sha256(run.encode()).hexdigest()[:16]
 
 
 def load(view: View, run: str) -> tuple[Any, LedgerRun | None] | None:

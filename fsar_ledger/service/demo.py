@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from fsar_ledger.designs.constants import Structure
+from fsar_ledger.ledger.store.paths import beside
 
 from . import add_principal
 from .client import Client, FollowedEvent
@@ -266,7 +267,7 @@ class Demo:
 
     def __init__(self, ledger: Path, by_hand: bool, step_s: float) -> None:
         self._ledger, self._by_hand, self._step_s = ledger, by_hand, step_s
-        self._principals = ledger.with_name(f"{ledger.name}.principals")
+        self._principals = beside(ledger, ".principals")
         self.tokens = {name: add_principal(self._principals, name) for name in (*STORIES, HUMAN, OWN, HUB)}
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.url = f"http://127.0.0.1:{free.getsockname()[1]}"

@@ -33,6 +33,10 @@ Question = Callable[[Ledger], object]
         (lambda one: one.verify(quick="no"), "quick: found 'no', expected True or False"),
         (lambda one: one.verify(cosigned="note"), "cosigned: found 'note', expected a list of paths"),
         (lambda one: one.prove("1:5", format=5), "format: found 5, expected text"),
+        (
+            lambda one: one.prove("1:5", out=""),
+            "out=: found a file, expected a free name; a proof is never overwritten",
+        ),
         (lambda one: one.export(7), "out: found 7, expected a path"),
         (lambda one: one.export("e.csv", "denials", "run=1"), "parameters: found 'run=1', expected a mapping of names"),
         (lambda one: one.open(7), "out: found 7, expected a path"),

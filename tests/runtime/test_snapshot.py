@@ -91,6 +91,17 @@ def test_a_run_that_goes_on_from_a_snapshot_is_the_run_that_goes_on_from_its_rec
     assert fsar_ledger.Ledger(tmp_path / "ledger").verify(replay=True).ok
 
 
+def test_a_ledger_that_is_given_as_the_present_folder_has_its_snapshots_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(federation, "KEEP_AT_END", 1)
+    (tmp_path / "ledger").mkdir()
+    monkeypatch.chdir(tmp_path / "ledger")
+    with fsar_ledger.federate(".", run="day", clock=lambda: next(NOW) * 10**9) as one:
+        play(one, random.Random(1), 1)
+    assert kept(tmp_path).is_file()
+
+
 def test_the_same_command_again_is_decided_once_after_a_snapshot_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

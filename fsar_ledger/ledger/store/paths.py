@@ -78,6 +78,12 @@ def is_unfinished(ledger: Path) -> bool:
     return True
 
 
+def beside(ledger: Path, suffix: str) -> Path:
+    """Return the path of this suffix beside a ledger, also beside one that is given as `.`."""
+    named = Path(os.path.abspath(ledger)) if ledger.name in ("", "..") else ledger
+    return named.with_name(named.name + suffix)
+
+
 def require_outside(out: Path, what: str) -> None:
     """Refuse an output file inside any ledger, even one that the command does not read.
 
