@@ -22,7 +22,7 @@ from multiprocessing.reduction import ForkingPickler
 from types import ModuleType
 from typing import Any, ParamSpec, TypeVar
 
-from fsar_ledger.base.errors import UsageError, WorkerDied, option
+from fsar_ledger.base.errors import UsageError, WorkerDied, checked, option
 from fsar_ledger.base.memory import leave_out_pandas
 
 _P = ParamSpec("_P")
@@ -115,6 +115,7 @@ def _program() -> str:
     return f"fsar-ledger {__version__}"
 
 
+@checked
 @contextmanager
 def cluster(address: str | None) -> Iterator[None]:
     """Run all parallel work on this cluster, or with None in processes of this machine.

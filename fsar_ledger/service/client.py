@@ -14,7 +14,7 @@ from urllib.parse import quote, urlencode, urlsplit
 
 import msgspec
 
-from fsar_ledger.base.errors import FsarLedgerError, UsageError
+from fsar_ledger.base.errors import FsarLedgerError, UsageError, checked
 
 TRANSIENT = (429, 503)
 """Transient errors: too many commands at once, or a full disk."""
@@ -62,6 +62,7 @@ class Client:
         pause: Waits this many seconds.
     """
 
+    @checked
     def __init__(
         self,
         url: str,

@@ -44,6 +44,8 @@ Question = Callable[[Ledger], object]
         (lambda one: one.view("v.html", 1, other=3), "other: found 3, expected a ledger, or its path"),
         (lambda _: fsar_ledger.open_ledger(None), "path: found None, expected a path"),  # type: ignore[arg-type]
         (lambda _: Ledger(5), "path: found 5, expected a path"),  # type: ignore[arg-type]
+        (lambda _: fsar_ledger.Client(5, "token"), "url: found 5, expected text"),  # type: ignore[arg-type]
+        (lambda _: fsar_ledger.cluster(5), "address: found 5, expected text"),  # type: ignore[arg-type]
     ],
 )
 def test_an_argument_of_another_type_is_refused_by_its_name(ledger: Ledger, asked: Question, said: str) -> None:
