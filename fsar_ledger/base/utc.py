@@ -8,6 +8,8 @@ MICROSECOND = timedelta(microseconds=1)
 
 def parsed(text: str) -> datetime:
     """Parse an ISO 8601 time; without a zone it is UTC. Raises: ValueError for any other text."""
+    if len(text) > len("YYYYMMDD") and text.isdecimal():  # milliseconds, of which Python takes some for a date and hour
+        raise ValueError(f"found the number {text:.40}, expected a time in ISO 8601")
     return zoned(datetime.fromisoformat(text))
 
 

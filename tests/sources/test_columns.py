@@ -103,6 +103,7 @@ def refused(recorder: Recorder, data: bytes) -> str:
         (line(OBSERVED, names=5), "field names: Expected `array`, got `int`"),
         (line(STARTED, time=20260301), "field time: found 20260301, expected a time such as 2026-03-01T10:00:00Z"),
         (line(STARTED, time="noon"), "field time: found noon"),
+        (line(STARTED, time="1710010112345"), "field time: found 1710010112345, expected a time such as"),
         (line(STARTED, time="0001-01-01T00:00:00+14:00"), "field time: found 0001-01-01T00:00:00+14:00"),
         (line(STARTED, time="2001-01-01T00:00:00Z"), "field time: found 2001-01-01T00:00:00+00:00"),
         (
