@@ -40,11 +40,15 @@ MEASURES = frozenset({"budget_us", "t_max_us", "n_max", "fence"})
 """Columns of durations and counts, which are never negative."""
 PRINCIPALS = frozenset(
     {
-        *("robot", "peer", "helper", "supervisor", "decided_by"),
-        *("requested_by", "executed_by", "supervised_by", "on_behalf_of"),
+        *("robot", "peer", "helper", "supervisor", "decided_by", "path", "claimant", "holder", "sender", "receiver"),
+        *("requested_by", "executed_by", "supervised_by", "on_behalf_of", "relay", "written_by", "robots"),
+        *("candidates", "rejected", "busy", "degraded", "local_deny", "local_review", "fleet_deny", "fleet_review"),
     }
 )
-"""Columns that name principals, each by kind and name (`robot/A1`, `supervisor/A1`), or the coordinator."""
+"""Columns that name principals, each by kind and name (`robot/A1`, `supervisor/A1`), or the coordinator.
+
+`issued_by` is not among them, since a command may come from anybody.
+"""
 IDENTITIES = PRINCIPALS | {"task_id", "action_id", "request_id"}
 """Columns whose names are never empty."""
 OUTCOMES = {"ExecutionFinished": "result", "RequestClosed": "result", "SupervisorResponded": "approves"}
@@ -113,38 +117,41 @@ def laid_out(layout: StoredType, columns: Mapping[str, Any]) -> Event:
 
 def require_names(event: Event) -> None:
     """Raises: UsageError for the name of a task, action, request or principal that is blank, as in `robot/`."""
-    for name, text in flat(event).items():
-        if name in IDENTITIES and isinstance(text, str):
-            parts = text.split("/", 1) if name in PRINCIPALS else [text]
-            if not all(map(str.strip, parts)):
-                found = value(repr(text)) if text else "an empty text"
-                raise UsageError(f"field {name}: found {found} in {type(event).__name__}, expected a name")
+    for column, name in _names(event):
+        parts = name.split("/", 1) if column in PRINCIPALS else [name]
+        if not all(map(str.strip, parts)):
+            found = value(repr(name)) if name else "an empty text"
+            raise UsageError(f"field {column}: found {found} in {type(event).__name__}, expected a name")
 
 
 def require_kinds(event: Event) -> None:
     """Raises: UsageError for a principal without a kind, as in `A1`."""
-    for name, text in _without_kind(flat(event)):
-        if text != COORDINATOR:
-            hint = value(f"{'supervisor' if name.startswith('supervis') else 'robot'}/{text}")
-            found = f"found {value(text)} in {type(event).__name__}"
-            raise UsageError(f"field {name}: {found}, expected a kind and a name, as in {hint}")
-
-
-def _without_kind(columns: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield the columns whose principal has no kind, and its name."""
-    for name, text in columns.items():
-        if name in PRINCIPALS and isinstance(text, str) and "/" not in text:
-            yield name, text
+    for column, name in _without_kind(event):
+        if name != COORDINATOR:
+            hint = value(f"{'supervisor' if column.startswith('supervis') else 'robot'}/{name}")
+            found = f"found {value(name)} in {type(event).__name__}"
+            raise UsageError(f"field {column}: {found}, expected a kind and a name, as in {hint}")
 
 
 def require_full_names(event: Event, robots: Collection[str]) -> None:
     """Raises: UsageError for `B1` if one of these robots is `robot/B1`: it would be recorded as another robot."""
-    for name, text in _without_kind(flat(event)):
-        if f"robot/{text}" in robots:
+    for column, name in _without_kind(event):
+        if f"robot/{name}" in robots:
             raise UsageError(
-                f"field {name}: found {value(text)} in {type(event).__name__}, expected {value(f'robot/{text}')}, as "
+                f"field {column}: found {value(name)} in {type(event).__name__}, expected {value(f'robot/{name}')}, as "
                 "the fleet names it"
             )
+
+
+def _names(event: Event) -> Iterator[tuple[str, str]]:
+    """Yield each name of a task, action, request or principal, with its column."""
+    for column, content in flat(event).items():
+        if column in IDENTITIES and content is not None:
+            yield from ((column, name) for name in ((content,) if isinstance(content, str) else content))
+
+
+def _without_kind(event: Event) -> Iterator[tuple[str, str]]:
+    return ((column, name) for column, name in _names(event) if column in PRINCIPALS and "/" not in name)
 
 
 def require_outcome(event: Event) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from fsar_ledger import exports
 from fsar_ledger.api.ledger import Ledger
 from fsar_ledger.base.errors import UsageError, WriteFailed
 from fsar_ledger.cli.app import run
@@ -258,3 +259,22 @@ def test_who_is_named_without_a_kind_is_nobody_of_the_fleet_and_is_refused(kind:
         event_of(kind, {**named, column: "A1"})
     for principal in (meant, *([None, "coordinator"] if column.endswith("_by") else [])):
         event_of(kind, {**named, column: principal})
+
+
+def test_every_column_that_names_a_principal_asks_for_a_kind_but_that_of_who_may_be_anybody() -> None:
+    assert exports.NAMING.keys() - exports._COLUMNS.keys() - {"issued_by"} == columns.PRINCIPALS
+
+
+@pytest.mark.parametrize(
+    ("kind", "column", "named"),
+    [
+        ("InternalHandoff", "receiver", {"sender": "agent/A1/planning", "receiver": "A1"}),
+        ("TaskPlanned", "robots", {"task_id": "t", "robots": ["robot/A1", "A1"], "ready_us": 1}),
+        ("OwnStepDecided", "path", {"task_id": "t", "capability": "c", "path": ["A1", "robot/A1"]}),
+    ],
+)
+def test_one_of_two_and_one_of_several_are_named_by_a_kind_too(kind: str, column: str, named: dict[str, Any]) -> None:
+    known = {"robot": "robot/A1", "executed_by": "robot/A1", **named}
+    fields = {field.name for field in columns.LAYOUT_OF[kind].fields}
+    with pytest.raises(UsageError, match=f"field {column}: found A1 in {kind}, expected a kind and a name"):
+        event_of(kind, {name: one for name, one in known.items() if name in fields})
