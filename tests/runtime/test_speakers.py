@@ -92,6 +92,41 @@ def test_anybody_may_look_into_the_registry() -> None:
         assert said(Play(), "ConsultRegistry", by, query={"requester": A, "capability": "door.open.secure"}) is None
 
 
+def test_a_robot_looks_into_the_registry_as_nobody_else() -> None:
+    of_a = {"requester": A, "capability": "door.open.secure"}
+    for copy in ({}, {"cache_holder": B}):
+        assert said(Play(), "ConsultRegistry", B, query=of_a, **copy) == f"{B} speaks for {A}, expected its own word"
+    assert (
+        said(Play(), "ConsultRegistry", A, query=of_a, cache_holder=B) == f"{A} speaks for {B}, expected its own word"
+    )
+
+
+REGISTRY: dict[str, dict[str, Any]] = {
+    "AdvertiseCapability": {"version": "1.0.0"},
+    "WithdrawCapability": {"reason": "x"},
+    "ReportAvailability": {"availability": "offline", "reason": "x"},
+    "DeprecateCapability": {"version": "1.0.0"},
+    "UpgradeCapability": {"version": "2.0.0"},
+    "InstallCapability": {"version": "1.0.0"},
+    "RemoveCapability": {},
+}
+"""The commands about what a robot possesses and advertises, each with its other fields."""
+
+
+@pytest.mark.parametrize("command", REGISTRY)
+def test_nobody_changes_what_a_robot_possesses_or_shows_but_itself_and_who_is_in_charge_of_it(command: str) -> None:
+    capability = "weld" if command == "InstallCapability" else "door.open.secure"
+    about = {"robot": B, "capability": capability, **REGISTRY[command]}
+    for other in (A, "supervisor/A1", "service/hub", "supervisor/stranger"):
+        play = Play()
+        refused = said(play, command, other, **about, issued_by=other)
+        assert refused is not None
+        assert isinstance(play.run.kernel.events[-1], CommandRejected)
+    for own in (B, "supervisor/B1", FLEET_SUPERVISOR):
+        assert said(Play(), command, own, **about, issued_by=own) is None
+    assert said(Play(), command, B, **about) is None
+
+
 def test_a_stranger_joins_nobody() -> None:
     play, stranger = Play(), "supervisor/Z9"
     refused = said(play, "JoinFleet", stranger, **JOIN, issued_by=stranger)

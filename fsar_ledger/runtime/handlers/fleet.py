@@ -35,7 +35,15 @@ from .authority import released
 from .candidates import contradiction, version_of
 from .commands import Handlers, acting
 from .execution import holds_robot
-from .public import PublicCommand, absent_robot, carried_out, made_from, not_in_charge, unknown_supervisor
+from .public import (
+    PublicCommand,
+    absent_robot,
+    carried_out,
+    made_from,
+    not_governed,
+    not_in_charge,
+    unknown_supervisor,
+)
 from .recovery import escalated
 from .task import has_not_begun
 
@@ -281,7 +289,7 @@ def _is_robots_name(name: str) -> bool:
 def install_capability(state: State, command: InstallCapability) -> tuple[Event, ...]:
     """Install the capability, not yet advertised. Paper: sec:model:capability."""
     robot, capability = command.robot, command.capability
-    wrong = absent_robot(state.fleet, robot)
+    wrong = not_governed(state.fleet, robot, command.issued_by)
     if wrong is None and possesses(state.registry, robot, capability):
         wrong = (
             f"{robot} possesses version {state.registry.modules[robot][capability].version} already, "
@@ -301,7 +309,7 @@ def remove_capability(state: State, command: RemoveCapability) -> tuple[Event, .
     """Remove the capability and its advertisement."""
     robot, capability = command.robot, command.capability
     wrong = (
-        absent_robot(state.fleet, robot)
+        not_governed(state.fleet, robot, command.issued_by)
         or not_possessed(state.registry, robot, capability)
         or in_use(state.execution, robot, capability)
     )

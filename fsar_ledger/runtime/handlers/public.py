@@ -87,12 +87,16 @@ def speaker(command: PublicCommand) -> Principal | None:
 def not_its_word(fleet: Fleet, given_by: str, command: PublicCommand) -> str | None:
     """Return why this principal may not give the command, or None: none speaks for another.
 
-    Work may also come from a service, or from a supervisor of the robot. Paper: sec:model:invariants.
+    Work may also come from a service, or from a supervisor of the robot. Both may look into the registry as any robot
+    does, a robot only as itself. Paper: sec:model:invariants.
     """
     named = speaker(command)
+    asker = getattr(getattr(command, "query", None), "requester", given_by)
     alone = fleet.isolated
     if alone is not None and given_by not in (alone, fleet.robots[alone].supervisor):
         return f"{given_by} is not there, expected {alone}, which is alone, or its own supervisor"
+    if given_by.startswith("robot/") and asker != given_by:
+        return f"{given_by} speaks for {asker}, expected its own word"
     if given_by == named or (named is None and given_by.startswith((SERVICE, "supervisor/", "robot/"))):
         return None
     if isinstance(command, Work) and command.robot in fleet.robots:
@@ -119,6 +123,17 @@ def absent_robot(fleet: Fleet, *robots: str | None) -> str | None:
         (f"{robot} has departed ({reason})" for robot, reason in fleet.departed.items() if robot in robots), None
     )
     return refused if refused is not None or gone is None else f"{gone}, expected that it returns by JoinFleet first"
+
+
+def not_governed(fleet: Fleet, robot: Robot, issued_by: Supervisor | None) -> str | None:
+    """Return why to reject a command about what the robot possesses or advertises, or None.
+
+    It is given by the robot itself (or None) or by who is in charge of it. Paper: sec:model:supervision.
+    """
+    refused = absent_robot(fleet, robot)
+    if refused is None and issued_by is not None and f"{issued_by}" != robot:
+        refused = not_in_charge(fleet, issued_by, robot)
+    return refused
 
 
 def outdated(fleet: Fleet, robot: Robot, fence: int | None) -> str | None:

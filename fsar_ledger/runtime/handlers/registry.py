@@ -2,7 +2,7 @@
 
 It is authoritative about discoverability, never about execution: the requested robot judges the request itself. A robot
 governs what it shows: it advertises, withdraws, reports, deprecates, rolls out. Every command here but `FinishRollOut`
-is public; `issued_by` is the issuer (a robot, a supervisor), None if not stated. The search is in `candidates`.
+is public; `issued_by` is the robot (or None) or who is in charge of it. The search is in `candidates`.
 Paper: sec:architecture:registry, sec:model:advertisement.
 """
 
@@ -45,7 +45,7 @@ from .attribution import recorded_by
 from .candidates import Answer, Query, candidates, contradiction, is_range, version_of, weaker
 from .commands import Handlers, RobotCommand, Scheduled, commanded_robot
 from .fleet import in_use, not_possessed
-from .public import PublicCommand, absent_robot, carried_out, made_from, rejected
+from .public import PublicCommand, absent_robot, carried_out, made_from, not_governed, rejected
 
 HANDLERS = Handlers()
 
@@ -199,7 +199,11 @@ class FinishRollOut(RobotCommand):
 def advertise_capability(state: State, command: AdvertiseCapability) -> tuple[Event, ...]:
     """Advertise what the robot possesses, in terms that its module keeps. Paper: eq:advertise."""
     robot, capability = command.robot, command.capability
-    wrong = absent_robot(state.fleet, robot) or not_possessed(state.registry, robot, capability) or _unheard_of(command)
+    wrong = (
+        not_governed(state.fleet, robot, command.issued_by)
+        or not_possessed(state.registry, robot, capability)
+        or _unheard_of(command)
+    )
     if wrong is None:
         module = state.registry.modules[robot][capability]
         contract = _contract(command, module)
@@ -214,7 +218,7 @@ def advertise_capability(state: State, command: AdvertiseCapability) -> tuple[Ev
 @HANDLERS.decide(WithdrawCapability)
 def withdraw_capability(state: State, command: WithdrawCapability) -> tuple[Event, ...]:
     """Take the capability off the robot's surface."""
-    wrong = absent_robot(state.fleet, command.robot) or _not_advertised(
+    wrong = not_governed(state.fleet, command.robot, command.issued_by) or _not_advertised(
         state.registry, command.robot, command.capability
     )
     event = CapabilityWithdrawn(command.robot, command.capability, command.reason)
@@ -225,7 +229,9 @@ def withdraw_capability(state: State, command: WithdrawCapability) -> tuple[Even
 def report_availability(state: State, command: ReportAvailability) -> tuple[Event, ...]:
     """Record the availability that the robot reports. Paper: sec:architecture:registry."""
     robot, capability = command.robot, command.capability
-    wrong = absent_robot(state.fleet, robot) or _unknown("availability", command.availability, get_args(Availability))
+    wrong = not_governed(state.fleet, robot, command.issued_by) or _unknown(
+        "availability", command.availability, get_args(Availability)
+    )
     if wrong is None and capability is not None:
         wrong = _not_advertised(state.registry, robot, capability)
     elif wrong is None and not any(surface(state.registry, robot)):
@@ -245,7 +251,7 @@ def deprecate_capability(state: State, command: DeprecateCapability) -> tuple[Ev
     Paper: sec:discussion:continuity.
     """
     robot, capability = command.robot, command.capability
-    wrong = absent_robot(state.fleet, robot) or _not_advertised(state.registry, robot, capability)
+    wrong = not_governed(state.fleet, robot, command.issued_by) or _not_advertised(state.registry, robot, capability)
     if wrong is None:
         record = advertisement(state.registry, robot, capability)
         assert record is not None
@@ -268,7 +274,7 @@ def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event,
     Paper: sec:architecture:registry.
     """
     robot, capability = command.robot, command.capability
-    wrong = absent_robot(state.fleet, robot) or not_possessed(state.registry, robot, capability)
+    wrong = not_governed(state.fleet, robot, command.issued_by) or not_possessed(state.registry, robot, capability)
     if wrong is None:
         module = state.registry.modules[robot][capability]
         contract = _contract(command, module)
