@@ -82,9 +82,11 @@ class Principals:
         return len(self._by_id)
 
     def authenticate(self, authorization: str) -> Principal | None:
-        """Return the principal whose token this header has (`Bearer fsar.ID.SECRET`), or None."""
-        if (now := self._state()) != self._seen:
-            self._by_id, self._seen = _read(self._path), now
+        """Return the principal whose token this header has (`Bearer fsar.ID.SECRET`), or None.
+
+        Raises: UsageError: The file has changed, and cannot be read.
+        """
+        self._read_again()
         scheme, _, token = authorization.partition(" ")
         parts = token.strip().split(".")
         is_formed = scheme.lower() == "bearer" and len(parts) == 3 and parts[0] == "fsar"
@@ -92,6 +94,19 @@ class Principals:
         digest = hashlib.sha256(parts[-1].encode(errors="surrogateescape")).hexdigest()
         is_valid = hmac.compare_digest(digest, principal.sha256 if principal is not None else _DUMMY)
         return principal if is_valid else None
+
+    def failure(self) -> UsageError | None:
+        """Return why nobody can be authenticated now, or None."""
+        try:
+            self._read_again()
+        except UsageError as error:
+            return error
+        return None
+
+    def _read_again(self) -> None:
+        """Read the file if it has changed. Raises: UsageError: It cannot be read."""
+        if (now := self._state()) != self._seen:
+            self._by_id, self._seen = _read(self._path), now
 
     def _state(self) -> tuple[int, ...]:
         """Return a value that differs after any change: a copy may keep the time of the last write."""

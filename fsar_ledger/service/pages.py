@@ -201,7 +201,7 @@ _ERRORS = {
     "409": "the key was given with another command",
     "413": "too long",
     "429": "more than the principal may give in a second",
-    "503": "too many wait, or the disk refuses; nothing was decided",
+    "503": "too many wait, the disk refuses, or no token can be checked; nothing was decided",
 }
 
 

@@ -139,7 +139,10 @@ class Service:
         return Response(msgspec.json.encode(document) + b"\n", status, headers, "application/json")
 
     def _principal(self, request: Request) -> Principal:
-        principal = self._principals.authenticate(request.headers.get("authorization", ""))
+        try:
+            principal = self._principals.authenticate(request.headers.get("authorization", ""))
+        except UsageError as error:
+            raise HttpError(503, f"no token can be checked: {error}", retry_after="5") from error
         if principal is None:
             raise HttpError(
                 401,
@@ -160,6 +163,7 @@ class Service:
         name, status = request.path_params["name"], 400
         try:
             fields = object_of(await _body(request), "command")
+            principal = self._principal(request)  # its token may be void since the headers came
             status = 400 if name in commands() else 404
             command = command_given(name, principal.principal, fields, key)
         except UsageError as error:
@@ -210,7 +214,7 @@ class Service:
             raise HttpError(503, "found too many subscriptions, expected that one ends first", retry_after="10")
         first = self._feed.end if after is None else max(0, int(after) + 1)
         self._answers[200] += 1
-        return EventStream(first, partial(self._follow, principal, first, wanted))
+        return EventStream(first, partial(self._follow, request, principal, first, wanted))
 
     async def _require_robot(self, name: str, principal: Principal) -> None:
         """Require that a robot of this name has joined; to a robot, others are not named. Raises: HttpError."""
@@ -222,13 +226,15 @@ class Service:
             others = "" if principal.kind == "robot" else f"; expected one of {', '.join(robots)}"
             raise HttpError(400, f"robot {name!r:.80}: there is none{others}")
 
-    async def _follow(self, principal: Principal, seq: int, wanted: dict[str, str], put: Put) -> None:
-        """Put the events that the principal wants and may see, from this seq on, until the service ends."""
+    async def _follow(self, request: Request, principal: Principal, seq: int, wanted: dict[str, str], put: Put) -> None:
+        """Put the events that the principal wants and may see, until its token is taken back or the service ends."""
         self._subscriptions[principal.principal] += 1
         try:
             sent_s = self._ticks()
             while self._server is None or not self._server.should_exit:
                 rows = await self._feed.rows_from(seq, 1.0)
+                if self._principal(request) != principal:
+                    return
                 seq = rows[-1].seq + 1 if rows else seq
                 if body := b"".join(_event_message(row, principal, wanted) for row in rows):
                     await put(body)
@@ -240,7 +246,7 @@ class Service:
             self._subscriptions[principal.principal] -= 1
 
     async def _health(self, _: Request) -> Response:
-        failed = self._decider.failed
+        failed = self._decider.failed or self._principals.failure()
         if failed is not None:
             return self._answer({"status": "failed", "run": self._run, "error": f"{failed}"}, 503)
         return self._answer({"status": "ok", "run": self._run, "events": self._feed.end})

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import socket
 import subprocess
 import threading
 from pathlib import Path
@@ -120,6 +121,56 @@ def test_new_events_come_as_they_happen(site: Site) -> None:
     site.ways["robot/A1"].give("SubmitTask", task_id="t", **TASK)
     thread.join(5)
     assert [event.type for event in seen[:2]] == ["CommandGiven", "TaskArrived"]
+
+
+def test_who_follows_is_told_nothing_more_once_its_token_is_taken_back(site: Site) -> None:
+    seen: list[bytes] = []
+    thread = threading.Thread(target=lambda: seen.append(site.asked("GET", "/events?after=-1", b"", "auditor/anna")))
+    thread.start()
+    until(lambda: b"fsar_subscriptions 1" in site.asked("GET", "/metrics"))
+    take_back(site, "auditor/anna")
+    site.ways["robot/A1"].give("SubmitTask", task_id="t", **TASK)
+    thread.join()
+    assert seen[0].startswith(b"HTTP/1.1 200 ")
+    assert b"TaskArrived" not in seen[0]
+    with pytest.raises(Refused, match="found no token of a principal"):
+        next(site.ways["auditor/anna"].events(after=-1))
+    assert b"fsar_subscriptions 0" in site.asked("GET", "/metrics")
+
+
+def test_a_command_whose_token_is_taken_back_while_its_body_comes_is_not_taken(site: Site) -> None:
+    body = msgspec.json.encode({"task_id": "t", **TASK})
+    head = f"POST /commands/SubmitTask HTTP/1.1\r\nHost: x\r\nContent-Length: {len(body)}\r\nConnection: close\r\n"
+    with socket.create_connection(("127.0.0.1", site.port)) as line:
+        line.sendall(f"{head}Authorization: Bearer {site.tokens['robot/A1']}\r\n\r\n".encode() + body[:9])
+        until(lambda: site.service._budgets)
+        take_back(site, "robot/A1")
+        line.sendall(body[9:])
+        assert line.recv(1 << 16).startswith(b"HTTP/1.1 401 ")
+    assert site.commands() == []
+
+
+def test_while_the_principals_cannot_be_read_nobody_is_let_in_and_health_says_why(site: Site) -> None:
+    file = site.ledger.with_name("principals")
+    kept = file.read_bytes()
+    for damage in (lambda: file.write_bytes(kept + b"{"), file.unlink):
+        damage()
+        for path in ("/overview", "/events"):
+            answer = site.asked("GET", path, b"", "auditor/anna")
+            assert answer.startswith(b"HTTP/1.1 503 ")
+            assert b"no token can be checked" in answer
+        assert b"principals" in site.asked("GET", "/health")
+        with pytest.raises(Refused, match="no token can be checked"):
+            site.ways["robot/A1"].give("SubmitTask", task_id="t", **TASK)
+    file.write_bytes(kept)
+    assert site.ways["robot/A1"].give("SubmitTask", task_id="t", **TASK).rejected is None
+    assert b'"status":"ok"' in site.asked("GET", "/health")
+
+
+def take_back(site: Site, name: str) -> None:
+    file = site.ledger.with_name("principals")
+    lines = file.read_bytes().splitlines(keepends=True)
+    file.write_bytes(b"".join(line for line in lines if name.encode() not in line))
 
 
 def test_the_same_key_from_many_threads_is_decided_once(site: Site) -> None:
