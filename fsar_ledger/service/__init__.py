@@ -49,20 +49,18 @@ def add_principal(path: Path, name: str) -> str:
         UsageError: No principal can have this name, or the file holds something else.
         WriteFailed: The file cannot be written.
     """
-    kind, slash, rest = name.partition("/")
-    if kind not in KINDS or not slash or not rest or not rest.isprintable() or " " in rest or len(name) > MAX_NAME:
-        raise UsageError(
-            f"NAME {value(name)}: expected a kind and a name without spaces, such as robot/A1, of at most {MAX_NAME} "
-            f"characters; the kinds are {', '.join(KINDS)}"
-        )
+    if not _is_name(name):
+        raise UsageError(f"NAME {value(name)}: {_EXPECTED}")
     if path.exists():
         _read(path)
     token_id, secret = secrets.token_hex(8), secrets.token_urlsafe(32)
     line = msgspec.json.encode(Principal(name, token_id, hashlib.sha256(secret.encode()).hexdigest())) + b"\n"
     try:
-        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o600)
         try:
-            append_whole(file, line)
+            size = os.fstat(file).st_size
+            is_ended = size == 0 or os.pread(file, 1, size - 1) == b"\n"  # an editor may have left the last line open
+            append_whole(file, line if is_ended else b"\n" + line)
         finally:
             os.close(file)
     except OSError as error:
@@ -117,8 +115,19 @@ class Principals:
         return status.st_mtime_ns, status.st_ctime_ns, status.st_ino, status.st_size
 
 
+_EXPECTED = (
+    f"expected a kind and a name without spaces, such as robot/A1, of at most {MAX_NAME} characters; the kinds are "
+    f"{', '.join(KINDS)}"
+)
+
+
+def _is_name(name: str) -> bool:
+    kind, _, rest = name.partition("/")
+    return kind in KINDS and rest != "" and rest.isprintable() and " " not in rest and len(name) <= MAX_NAME
+
+
 def _read(path: Path) -> dict[str, Principal]:
-    """Return the principals by the public parts of their tokens."""
+    """Return the principals by the public parts of their tokens; empty lines say nothing."""
     try:
         lines = path.read_bytes().splitlines()
     except OSError as error:
@@ -127,9 +136,18 @@ def _read(path: Path) -> dict[str, Principal]:
         ) from error
     principals: dict[str, Principal] = {}
     for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
         try:
             principal = msgspec.json.decode(line, type=Principal)
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
             raise UsageError(f"{value(str(path))}:{number}: {error}; expected a principal in a line of JSON") from error
+        if not _is_name(principal.principal):
+            raise UsageError(f"{value(str(path))}:{number}: found {value(principal.principal)}, {_EXPECTED}")
+        if principal.token_id in principals:
+            raise UsageError(
+                f"{value(str(path))}:{number}: found a token_id that an earlier line has, expected one of its own; "
+                "`fsar-ledger principal new` makes a line"
+            )
         principals[principal.token_id] = principal
     return principals

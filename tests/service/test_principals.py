@@ -64,6 +64,30 @@ def test_the_secret_is_compared_in_constant_time_for_unknown_tokens_too(
     assert len(compared) == 3
 
 
+def test_a_file_whose_last_line_is_open_or_empty_takes_another_principal(tmp_path: Path) -> None:
+    file = tmp_path / "principals"
+    for number, end in enumerate((b"", b"\n\n", b"\r\n"), start=1):
+        add_principal(file, "robot/A1")
+        file.write_bytes(file.read_bytes().rstrip() + end)
+        token = add_principal(file, "robot/B1")
+        known = Principals(file)
+        assert len(known) == 2 * number
+        assert known.authenticate(f"Bearer {token}")
+
+
+def test_a_line_of_no_kind_and_a_second_line_of_one_token_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "principals"
+    add_principal(file, "robot/A1")
+    line = file.read_text()
+    for added, found in (
+        (line.replace("robot/A1", "robots/A1"), "found robots/A1, expected a kind and"),
+        (line.replace("robot/A1", "robot/B1"), "found a token_id that an earlier line has"),
+    ):
+        file.write_text(line + added)
+        with pytest.raises(UsageError, match=f"principals:2: {found}"):
+            Principals(file)
+
+
 @pytest.mark.parametrize(
     "name", ["A1", "robot/", "/A1", "person/anna", "robot/A 1", "robot/A\n1", "robot/" + "x" * 200]
 )
