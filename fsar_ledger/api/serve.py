@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
+from ssl import PROTOCOL_TLS_SERVER, SSLContext, SSLError
 from tempfile import TemporaryDirectory
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Annotated, Any
@@ -30,6 +31,21 @@ def require_service() -> None:
         raise UsageError(
             f'serve: found no library {missing[0]}, expected it; install it with `pip install "fsar-ledger[service]"`'
         )
+
+
+def _require_certificate(certificate: Path | None, key: Path | None) -> None:
+    """Require that these files, if any, are a certificate and its key without a password. Raises: UsageError."""
+    if certificate is None:
+        if key is not None:
+            raise UsageError(f"{option('certificate_key', key)}: found no certificate for it, expected --certificate")
+        return
+    try:
+        SSLContext(PROTOCOL_TLS_SERVER).load_cert_chain(certificate, key, password=lambda: "")
+    except OSError as error:
+        named = option("certificate", certificate) + ("" if key is None else f" {option('certificate_key', key)}")
+        reason = "found no such PEM" if isinstance(error, SSLError) else error.strerror
+        expected = "a certificate and its key in PEM, the key without a password"
+        raise UsageError(f"{named}: {reason}, expected {expected}") from error
 
 
 class ServedFederation(Answer):
@@ -150,6 +166,7 @@ def serve_federation(
     founding = {"fleet": fleet, "robots": robots, "settings": settings, "origin": origin, "key": key, "cut": cut}
     founding |= {"isolated": isolated, "of": of}
     files = [None if file is None else Path(file) for file in (certificate, certificate_key)]
+    _require_certificate(*files)
     return ServedFederation(
         Path(out),
         run,

@@ -145,6 +145,32 @@ def test_a_policy_that_cannot_be_read_is_told_before_anything_begins(tmp_path: P
     assert not one.ledger.exists()
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (
+            ("--certificate", "none"),
+            "--certificate none: No such file or directory, expected a certificate and its key",
+        ),
+        (
+            ("--certificate", "principals"),
+            "--certificate principals: found no such PEM, expected a certificate and its",
+        ),
+        (("--certificate-key", "principals"), "found no certificate for it, expected --certificate"),
+    ],
+)
+def test_a_certificate_that_cannot_be_used_is_told_before_anything_begins(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    add_principal(tmp_path / "principals", "robot/A1")
+    one = Process(tmp_path, 0, *options)
+    _, told = one.process.communicate(timeout=30)
+    assert (one.process.returncode, told.count("\n")) == (2, 1)
+    assert said in told
+    assert not one.ledger.exists()
+
+
 def test_a_second_service_of_a_run_is_refused_in_words(tmp_path: Path) -> None:
     add_principal(tmp_path / "principals", "robot/A1")
     first, second = (Process(tmp_path, 0) for _ in range(2))
