@@ -82,7 +82,7 @@ def read_policy(path: Path) -> Policy:
         return parse_policy(str(path), disk.read_document(Path(os.path.realpath(path))))
     except OSError as error:
         raise UsageError(
-            f"--witness-policy {path}: it cannot be read ({error.strerror}), expected a C2SP tlog-policy"
+            f"{path}: the policy cannot be read ({error.strerror}), expected a C2SP tlog-policy"
         ) from error
 
 
