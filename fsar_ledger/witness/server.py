@@ -21,7 +21,7 @@ from fsar_ledger.base.errors import UsageError, WriteFailed
 from fsar_ledger.ledger.log.note import Note, VerifierKey
 from fsar_ledger.witness.state import State
 
-from . import ADD_CHECKPOINT, MAX_BODY_BYTES, Answer, judge, origin_hash, parse_request
+from . import ADD_CHECKPOINT, MAX_BODY_BYTES, SIZE, Answer, judge, origin_hash, parse_request
 
 Clock = Callable[[], int]
 """A function that returns the time in seconds since 1970."""
@@ -60,10 +60,13 @@ class Service:
             newest = self._state.newest(origin)
             judged = judge(request, self._logs, newest.checkpoint if newest is not None else None)
             answer = judged if isinstance(judged, Answer) else self._cosign(judged)
-        if answer.status != HTTPStatus.FORBIDDEN:  # anyone can send checkpoints that the log did not sign
-            size = request.note.checkpoint.size
-            outcome = "cosigned" if answer.status == HTTPStatus.OK else f"refused ({answer.text.strip()})"
-            self.tell(f"{origin}: {size:,} events: {outcome}")
+        size, reason = request.note.checkpoint.size, answer.text.strip()
+        if answer.media == SIZE:  # the log learns what to begin with, and comes again unless it has gone back
+            reason = f"{int(reason):,} were cosigned before" if size < int(reason) else ""
+        if answer.status == HTTPStatus.OK:
+            self.tell(f"{origin}: {size:,} events: cosigned")
+        elif answer.status != HTTPStatus.FORBIDDEN and reason:  # anyone can send what the log did not sign
+            self.tell(f"{origin}: {size:,} events: refused ({reason})")
         return answer
 
     def newest(self, name: str) -> Answer:

@@ -195,10 +195,15 @@ def test_the_newest_checkpoint_is_cosigned_again_when_it_is_asked_for(tmp_path: 
 
 def test_the_operator_is_told_what_the_log_did_and_nothing_of_strangers(witness: Open) -> None:
     send(witness, 0, 5)
-    send(witness, 5, 5, Log(5, 2))
+    send(witness, 0, 9)
+    send(witness, 5, 9)
+    send(witness, 3, 5)
+    send(witness, 9, 9, Log(9, 2))
     witness.service.add_checkpoint(str(GROWING.request(5, 9)).encode().replace(b"\n9\n", b"\n8\n"))
     witness.service.add_checkpoint(b"nonsense")
     assert witness.told == [
         f"{ORIGIN}: 5 events: cosigned",
-        f"{ORIGIN}: 5 events: refused (another root of the same size was cosigned before)",
+        f"{ORIGIN}: 9 events: cosigned",
+        f"{ORIGIN}: 5 events: refused (9 were cosigned before)",
+        f"{ORIGIN}: 9 events: refused (another root of the same size was cosigned before)",
     ]
