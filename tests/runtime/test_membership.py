@@ -18,7 +18,7 @@ from fsar_ledger.events.fleet import (
 from fsar_ledger.events.recovery import AssistanceFailed, ReassignmentDecided, RecoveryEscalated
 from fsar_ledger.events.registry import AvailabilityChanged, RegistryQueried
 from fsar_ledger.events.request import RequestClosed
-from fsar_ledger.events.supervision import SupervisorCalled
+from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import surface
@@ -35,10 +35,11 @@ from fsar_ledger.runtime.handlers.public import PublicCommand
 from fsar_ledger.runtime.handlers.recovery import ReportFailure
 from fsar_ledger.runtime.handlers.registry import ReportAvailability
 from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
-from fsar_ledger.runtime.handlers.supervision import RespondToCall
+from fsar_ledger.runtime.handlers.supervision import RespondToCall, SetSupervisionDensity
 from fsar_ledger.runtime.handlers.task import SubmitTask
 from fsar_ledger.runtime.live import LiveRun, live_started
 from fsar_ledger.runtime.run_replay import replay_run
+from fsar_ledger.service.pages import OpenCall, overview
 from tests.runtime.test_live import OPENING, A, B, C, D, Play, S, at_the_door, at_the_peers, done, opening
 
 
@@ -101,6 +102,22 @@ def test_a_human_who_settles_it_ends_the_request_as_a_departure_and_the_step_is_
     assert B not in {one for event in play.of(RegistryQueried)[1:] for one in event.candidates}
     assert not play.of(ExecutionFinished)[1:]
     assert replay_run(play.record) is None
+
+
+def test_a_review_that_is_answered_after_the_robot_has_left_allows_nothing_and_is_shown_to_nobody() -> None:
+    review = SetSupervisionDensity(issued_by=FLEET_SUPERVISOR, robot=B, review_every=1, reason="test")
+    play = at_the_door().does(review, JudgeRequest(robot=B, action_id=OPENING, accepts=True))
+    assert [call.action_id for call in shown(play)] == [OPENING]
+    play.does(leave(B))
+    assert shown(play) == ()
+    answer = RespondToCall(supervisor=FLEET_SUPERVISOR, action_id=OPENING, approves=True)
+    assert f"{play.give(answer)}".startswith("what the call was about has ended")
+    assert not play.of(SupervisorResponded)
+    assert replay_run(play.wait(60).record) is None
+
+
+def shown(play: Play) -> tuple[OpenCall, ...]:
+    return overview(play.run.kernel.state, play.now_s * S, "auditor/anna", "day").calls
 
 
 def test_a_request_that_waits_for_the_robot_ends_at_once_as_a_departure() -> None:
