@@ -34,7 +34,7 @@ async function give(command, fields) {
   await look();
 }
 
-function card(call, now) {
+function card(call, { now_us: now, principal }) {
   const facts = element("dl", null);
   const ends = new Date(Date.now() + (call.ends_us - now) / 1000);
   const left = call.ends_us === null ? "" : ` That is at ${ends.toLocaleTimeString()}.`;
@@ -51,6 +51,7 @@ function card(call, now) {
     }));
     replies.append(button);
   }
+  if (call.supervisor !== principal) replies.replaceChildren(`Asked of ${call.supervisor}, who alone can answer.`);
   const made = element("article", null, element("h3", call.title), facts, replies);
   made.className = "call";
   return made;
@@ -62,10 +63,11 @@ async function look() {
   $("who").textContent = `You are ${state.principal}`;
   document.title = state.calls.length ? `(${state.calls.length}) Human oversight` : "Human oversight";
   $("none").hidden = state.calls.length > 0;
+  $("governing").hidden = state.principal.startsWith("auditor/");
   const calls = JSON.stringify(state.calls);
   if (calls !== shown) { // so that the focus stays on a button while other things change
     shown = calls;
-    $("calls").replaceChildren(...state.calls.map((call) => card(call, state.now_us)));
+    $("calls").replaceChildren(...state.calls.map((call) => card(call, state)));
   }
   $("robots").replaceChildren(...state.robots.map((one) => {
     const does = element("td", one.does ?? "nothing");
@@ -129,6 +131,10 @@ async function follow() {
   for (let pause = 500; token; pause = Math.min(pause * 2, 8000)) {
     try {
       const answer = await fetch(`events?after=${last}`, { headers: { Authorization: `Bearer ${token}` } });
+      if (answer.status === 401) {
+        $("line").textContent = "not connected: no principal has this token any more";
+        return;
+      }
       if (!answer.ok) throw new Error(`status ${answer.status}`);
       $("line").textContent = "connected";
       pause = 500;

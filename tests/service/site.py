@@ -96,6 +96,13 @@ def is_good(ledger: Path) -> bool:
     return fsar_ledger.Ledger(ledger).verify(replay=True).ok
 
 
+def take_back(site: Site, name: str) -> None:
+    """Remove the line of the token of this principal."""
+    file = site.ledger.with_name("principals")
+    lines = file.read_bytes().splitlines(keepends=True)
+    file.write_bytes(b"".join(line for line in lines if name.encode() not in line))
+
+
 def until(holds: Callable[[], object], seconds: float = 10) -> None:
     end = time.monotonic() + seconds
     while not holds():

@@ -16,7 +16,7 @@ import fsar_ledger
 from fsar_ledger.events.supervision import SupervisionDensitySet, SupervisorResponded
 from fsar_ledger.service.demo import HUB, HUMAN, OWN, STORIES, TASKS, Demo, play
 from fsar_ledger.service.pages import FILES, page_file
-from tests.service.site import TASK, Site, is_good
+from tests.service.site import TASK, Site, is_good, take_back
 
 pytestmark = pytest.mark.slow
 EVIL = "<img src=x onerror=alert(1)>"
@@ -100,14 +100,14 @@ def browser() -> Iterator[Any]:
         yield found
 
 
-def signed_in(browser: Any, site: Site, **viewport: int) -> tuple[Any, list[str]]:
+def signed_in(browser: Any, site: Site, name: str = HUMAN, **viewport: int) -> tuple[Any, list[str]]:
     page = browser.new_page(viewport={"width": 1280, "height": 900} | viewport)
     found: list[str] = []
     page.set_default_timeout(20_000)
     page.on("console", lambda message: found.append(message.text))
     page.on("pageerror", lambda error: found.append(f"{error}"))
     page.goto(f"http://localhost:{site.port}/console")
-    page.fill("#token", site.tokens[HUMAN])
+    page.fill("#token", site.tokens[name])
     page.keyboard.press("Enter")
     page.wait_for_selector("#robots tr")
     return page, found
@@ -181,6 +181,24 @@ def test_a_token_of_nobody_is_told(site: Site, browser: Any) -> None:
     page.fill("#token", "fsar.0.0")
     page.click("#enter button")
     page.wait_for_selector("text=No principal has this token.")
+
+
+@pytest.mark.parametrize(("name", "governs"), [("auditor/anna", False), ("service/hub", True)])
+def test_who_cannot_answer_is_shown_who_is_asked_and_no_button(
+    asked: Site, browser: Any, name: str, governs: bool
+) -> None:
+    page, found = signed_in(browser, asked, name)
+    page.wait_for_selector(f".replies:has-text('Asked of {HUMAN}, who alone can answer.')")
+    assert page.locator(".replies button").count() == 0
+    assert page.is_visible("#govern button") is governs
+    assert found == []
+
+
+def test_a_token_that_is_taken_back_is_told_and_not_tried_again(asked: Site, browser: Any) -> None:
+    page, _ = signed_in(browser, asked)
+    page.wait_for_selector("#line:text-is('connected')")
+    take_back(asked, HUMAN)
+    page.wait_for_selector("#line:text-is('not connected: no principal has this token any more')")
 
 
 def test_it_connects_again_after_the_service_was_away(tmp_path: Path, browser: Any) -> None:

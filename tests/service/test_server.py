@@ -18,7 +18,7 @@ from fsar_ledger.events.command import CommandGiven, CommandRejected
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.service import feed
 from fsar_ledger.service.client import Client, FollowedEvent, Refused
-from tests.service.site import TASK, Site, is_good, read, until
+from tests.service.site import TASK, Site, is_good, read, take_back, until
 
 pytestmark = pytest.mark.slow
 
@@ -165,12 +165,6 @@ def test_while_the_principals_cannot_be_read_nobody_is_let_in_and_health_says_wh
     file.write_bytes(kept)
     assert site.ways["robot/A1"].give("SubmitTask", task_id="t", **TASK).rejected is None
     assert b'"status":"ok"' in site.asked("GET", "/health")
-
-
-def take_back(site: Site, name: str) -> None:
-    file = site.ledger.with_name("principals")
-    lines = file.read_bytes().splitlines(keepends=True)
-    file.write_bytes(b"".join(line for line in lines if name.encode() not in line))
 
 
 def test_the_same_key_from_many_threads_is_decided_once(site: Site) -> None:
