@@ -184,6 +184,7 @@ def present(log: Path, heads: Sequence[shards.ShardHead], places: Sequence[Path]
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_checked`.
     """
     recorded = {head.origin: head for head in heads}
+    at_place = {_real(head.place(log)): head for head in reversed(recorded.values())}
     views, missing, given_folders = dict[str, View](), list[shards.ShardHead](), {_real(folder) for folder in places}
     for head in recorded.values():
         with suppress(FsarLedgerError):
@@ -191,7 +192,12 @@ def present(log: Path, heads: Sequence[shards.ShardHead], places: Sequence[Path]
             if other is not None and other.manifest.origin == head.origin:
                 views[head.origin] = other
     for folder in places:
-        view = open_checked(folder)
+        try:
+            view = open_checked(folder)
+        except NotALedger as error:
+            if (lost := at_place.get(_real(folder))) is None:
+                raise
+            raise LedgerCorrupted(f"{shards.unreadable(lost, folder, error)}; nothing was recorded") from error
         if shards.is_log(view):
             raise UsageError(f"{folder}: found the log of other ledgers, {shards.NESTED}; record those ledgers")
         origin, real = view.manifest.origin, _real(folder)
@@ -200,9 +206,7 @@ def present(log: Path, heads: Sequence[shards.ShardHead], places: Sequence[Path]
                 f"{folder}: {shards.TWICE}: found a ledger of origin {printable.value(origin)}, which {other.path} "
                 "has, too, expected an origin for each shard; make it under a name of its own (--origin), or record one"
             )
-        recorded_head = next(
-            (candidate for candidate in recorded.values() if _real(candidate.place(log)) == real), recorded.get(origin)
-        )
+        recorded_head = at_place.get(real, recorded.get(origin))
         if recorded_head is not None and (problem := shards.doubt_of(recorded_head, view, heads)) is not None:
             raise LedgerCorrupted(f"{problem}; nothing was recorded")
         relative = os.path.relpath(real, os.path.realpath(log))

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 import fsar_ledger
-from fsar_ledger.base.errors import FsarLedgerError, LedgerCorrupted, UsageError
+from fsar_ledger.base.errors import LedgerCorrupted, UsageError
 from fsar_ledger.cli.app import run
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
@@ -145,7 +145,7 @@ def test_nothing_is_recorded_of_a_shard_that_does_not_go_on_from_its_head(
 ) -> None:
     harm(site_copy, runs)
     size = open_ledger(site_copy / "log").head.size
-    with pytest.raises(FsarLedgerError):
+    with pytest.raises(LedgerCorrupted, match=f"found {CLASSES[harm]}: .*; nothing was recorded"):
         fsar_ledger.shards(site_copy / "log")
     assert open_ledger(site_copy / "log").head.size == size
 
