@@ -131,8 +131,9 @@ async function follow() {
   for (let pause = 500; token; pause = Math.min(pause * 2, 8000)) {
     try {
       const answer = await fetch(`events?after=${last}`, { headers: { Authorization: `Bearer ${token}` } });
-      if (answer.status === 401) {
-        $("line").textContent = "not connected: no principal has this token any more";
+      if (answer.status === 400 || answer.status === 401) {
+        const why = answer.status === 401 ? "no principal has this token any more" : (await answer.json()).error;
+        $("line").textContent = `not connected: ${why}`;
         return;
       }
       if (!answer.ok) throw new Error(`status ${answer.status}`);

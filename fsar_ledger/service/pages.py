@@ -241,6 +241,7 @@ def described() -> dict[str, Any]:
     paths["/events"] = {"get": _EVENTS}
     for path, text in (("/health", "whether decisions can be made"), ("/metrics", "counts, for Prometheus")):
         paths[path] = {"get": {"security": [], "summary": text, "responses": {"200": {"description": text}}}}
+    paths["/health"]["get"]["responses"]["503"] = _response("why none can be made", "Error")
     return {
         "openapi": "3.1.0",
         "info": {"title": "FSAR ledger: a live federation", "version": fsar_ledger.__version__},

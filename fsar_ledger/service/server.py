@@ -207,6 +207,12 @@ class Service:
         after = request.headers.get("last-event-id", request.query_params.get("after"))
         if after is not None and not (after.isascii() and after.removeprefix("-").isdigit() and len(after) < 16):
             raise HttpError(400, f"after: found {after!r:.80}, expected the seq of the last event that is known")
+        if after is not None and int(after) >= self._feed.end:
+            raise HttpError(
+                400,
+                f"after: found {after}, expected at most {self._feed.end - 1}, the newest event of run {self._run}; if "
+                "there were more, they are lost: `fsar-ledger verify --anchor` a checkpoint that was kept",
+            )
         if (
             self._subscriptions.total() >= MAX_SUBSCRIPTIONS
             or self._subscriptions[principal.principal] >= MAX_OWN_SUBSCRIPTIONS

@@ -112,6 +112,18 @@ def test_who_follows_a_robot_that_is_none_is_told_which_there_are_unless_it_is_a
         read(site.ways["robot/A1"].events(robot="A1"), 1)
 
 
+def test_who_knows_more_events_than_the_run_has_is_told_that_some_are_lost(site: Site) -> None:
+    newest = site.ways["robot/A1"].give("SubmitTask", task_id="t", **TASK).seq
+    until(lambda: site.ways["auditor/anna"].known() > newest + 1)
+    count = site.ways["auditor/anna"].known()
+    with pytest.raises(
+        Refused, match=f"after: found {count}, expected at most {count - 1}, .* they are lost: "
+    ) as refused:
+        next(site.ways["auditor/anna"].events(after=count))
+    assert refused.value.status == 400
+    assert site.asked("GET", f"/events?after={count - 1}", b"", "auditor/anna").startswith(b"HTTP/1.1 200 ")
+
+
 def test_new_events_come_as_they_happen(site: Site) -> None:
     events = site.ways["auditor/anna"].events()
     seen: list[FollowedEvent] = []
