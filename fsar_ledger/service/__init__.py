@@ -15,6 +15,7 @@ import msgspec
 
 from fsar_ledger.base.errors import UsageError, WriteFailed
 from fsar_ledger.base.printable import value
+from fsar_ledger.events.envelope import COORDINATION, POLICY, RECOVERY, REGISTRY, TRUST
 from fsar_ledger.ledger.store.disk import append_whole
 
 KINDS = {
@@ -24,6 +25,7 @@ KINDS = {
     "auditor": "reads, and gives no command",
 }
 MAX_NAME = 200
+_OWN = (REGISTRY, COORDINATION, RECOVERY, POLICY, TRUST)
 _DUMMY = hashlib.sha256(b"").hexdigest()
 
 
@@ -51,6 +53,10 @@ def add_principal(path: Path, name: str) -> str:
     """
     if not _is_name(name):
         raise UsageError(f"NAME {value(name)}: {_EXPECTED}")
+    if name in _OWN:
+        raise UsageError(
+            f"NAME {name}: found a part of the federation itself, expected the name of a program beside it"
+        )
     if path.exists():
         _read(path)
     token_id, secret = secrets.token_hex(8), secrets.token_urlsafe(32)

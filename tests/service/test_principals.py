@@ -97,6 +97,12 @@ def test_a_name_that_no_principal_has_is_refused(tmp_path: Path, name: str) -> N
     assert not (tmp_path / "principals").exists()
 
 
+def test_no_token_speaks_as_a_part_of_the_federation(tmp_path: Path) -> None:
+    for name in ("registry", "coordination", "recovery", "policy", "trust"):
+        with pytest.raises(UsageError, match=f"NAME service/{name}: found a part of the federation itself"):
+            add_principal(tmp_path / "principals", f"service/{name}")
+
+
 def test_a_file_that_holds_something_else_is_refused_with_its_line(tmp_path: Path) -> None:
     file = tmp_path / "principals"
     add_principal(file, "robot/A1")
