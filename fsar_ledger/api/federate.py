@@ -170,6 +170,8 @@ class Decisions(Answer):
 
     def text(self, _: Screen) -> Iterator[SafeText]:
         """Yield a line for each command, and for decisions without one; the run can continue after the last."""
+        from fsar_ledger.sources.adapter import BOM
+
         with self._federation as federation:
             for numbered in _ticking(self._lines):
                 yield from _event_lines(federation.advance())
@@ -177,7 +179,7 @@ class Decisions(Answer):
                     continue
                 number, line = numbered
                 try:
-                    yield _line(_decided(federation, line))
+                    yield _line(_decided(federation, line.removeprefix(BOM) if number == 1 else line))
                 except UsageError as error:
                     self._refused += 1
                     yield _line({"line": number, "error": f"{error}"})

@@ -268,7 +268,7 @@ def lines(ledger: Path, *told: Any) -> tuple[int, list[dict[str, Any]]]:
 
 def test_lines_of_commands_are_answered_by_lines_of_decisions(tmp_path: Path) -> None:
     submit = {"command": "SubmitTask", "by": A, "key": "k", **TASK}
-    code, (first, again) = lines(tmp_path / "ledger", submit, b"\n", submit)
+    code, (first, again) = lines(tmp_path / "ledger", b"\xef\xbb\xbf", submit, b"\n", submit)  # as an editor saves it
     assert (code, first["seq"], first["rejected"]) == (0, again["seq"], None)
     assert [event["type"] for event in first["events"]] == ["TaskArrived"]
     assert first["followed"][0]["type"] == "StepBegan"
