@@ -63,7 +63,8 @@ class ServedFederation(Answer):
 
         def opened(on_commit: Callable[[int, bytes], None]) -> "Federation":
             federation = federate(self._out, run=self._run, on_commit=on_commit, **self._given["federation"])
-            self._given["show"](printable.lines(address))
+            if addresses:  # it is opened again after each failed write
+                self._given["show"](printable.lines(addresses.pop()))
             return federation
 
         service = Service(self._out, self._run, opened, Principals(self._principals), self._rate, self._viewed)
@@ -72,7 +73,7 @@ class ServedFederation(Answer):
         with self._listening() as listener:
             host, port = listener.getsockname()[:2]
             scheme = "http" if certificate is None else "https"
-            address = f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"
+            addresses = [f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"]
             ended = Event()
             witnesses = Thread(target=self._ask_witnesses, args=(ended,), name="witnesses", daemon=True)
             if self._given["policy"] is not None:

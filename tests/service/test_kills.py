@@ -1,5 +1,6 @@
 """The service as a process that is told to end, and killed."""
 
+import resource
 import signal
 import socket
 import subprocess
@@ -15,7 +16,7 @@ import fsar_ledger
 from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.service import add_principal
-from fsar_ledger.service.client import Client
+from fsar_ledger.service.client import Client, Refused
 from tests.service.site import TASK, is_good, until
 from tests.witness.processes import honest
 
@@ -169,6 +170,23 @@ def test_a_certificate_that_cannot_be_used_is_told_before_anything_begins(
     assert (one.process.returncode, told.count("\n")) == (2, 1)
     assert said in told
     assert not one.ledger.exists()
+
+
+def test_the_address_is_told_once_however_often_the_disk_refuses(tmp_path: Path) -> None:
+    token = add_principal(tmp_path / "principals", "robot/A1")
+    one = Process(tmp_path, 0)
+    unlimited = resource.prlimit(one.process.pid, resource.RLIMIT_FSIZE)
+    with Client(one.url, token, patience_s=0) as hasty, Client(one.url, token) as patient:
+        for _ in range(2):
+            assert patient.known()  # once the federation is open again
+            resource.prlimit(one.process.pid, resource.RLIMIT_FSIZE, (1, unlimited[1]))
+            with pytest.raises(Refused, match="nothing was decided"):
+                hasty.give("SubmitTask", task_id="t", **TASK)
+            resource.prlimit(one.process.pid, resource.RLIMIT_FSIZE, unlimited)
+        assert patient.give("SubmitTask", task_id="t", **TASK).rejected is None
+    one.process.send_signal(signal.SIGTERM)
+    assert one.process.communicate(timeout=30)[0] == ""
+    assert is_good(one.ledger)
 
 
 def test_a_second_service_of_a_run_is_refused_in_words(tmp_path: Path) -> None:
