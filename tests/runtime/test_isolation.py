@@ -164,8 +164,9 @@ def test_nobody_else_hands_it_over(site: Site) -> None:
 def test_a_result_that_nobody_can_read_is_refused(site: Site) -> None:
     with site.alone():
         fields = site.to_hand_over()
-    refused = site.tell(site.hall, A, "HandOver", **{**fields, "results": ["t1 well"]}).rejected
-    assert refused == "result 't1 well', expected a step and success or failure, as t1/2 success"
+    for result in ("t1 well", f"t1/{'9' * 5_000} success"):
+        refused = site.tell(site.hall, A, "HandOver", **{**fields, "results": [result]}).rejected
+        assert refused == f"result {result!r}, expected a step and success or failure, as t1/2 success"
 
 
 def test_a_robot_outside_the_fleet_has_nothing_to_go_on_from(site: Site) -> None:

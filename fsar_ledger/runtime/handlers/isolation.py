@@ -83,6 +83,8 @@ RESTATED = (
 """The types of the events that define a robot. Those that name a robot or a supervisor are its own, or hold for all."""
 
 HANDLERS = Handlers()
+MOST_DIGITS = 9
+"""The most digits of the number of a step in a result."""
 
 
 class HandOver(RobotReport):
@@ -179,7 +181,8 @@ def _read(result: str) -> tuple[str, int, IsolatedResult] | None:
     step, _, word = result.partition(" ")
     task_id, _, number = step.partition("/")
     outcome = next((kind for kind in get_args(IsolatedResult) if kind == word), None)
-    return (task_id, int(number), outcome) if outcome and task_id and number.isdecimal() else None
+    is_number = number.isdecimal() and len(number) <= MOST_DIGITS
+    return (task_id, int(number), outcome) if outcome and task_id and is_number else None
 
 
 def _judged(state: State, command: HandOver) -> Iterator[Event]:
