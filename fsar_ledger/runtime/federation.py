@@ -91,7 +91,7 @@ class Federation:
         self._on_commit, self._cuts_us = on_commit, tuple(sorted(cuts_us))
         self._path, self._clock, self._lock = path, clock, RLock()
         self._before = 0  # how many events the earlier runs have that this one continues, without its own event 0
-        self._has_failed = False
+        self._is_ahead = False  # whether the state may have events that are not on disk
         self._overtaken = ""  # the error, once another process has written the run
         self._kept = 0  # how many events the newest snapshot covers
         # Packed: a snapshot of so many objects would take 1.6 s, one of their bytes takes 0.1. A plain dict would take
@@ -251,11 +251,12 @@ class Federation:
         last_us = max((cut_us for cut_us in passed if cut_us + self._epoch_us <= now_us), default=0)
         if last_us - 1 > self._began_us:
             self._cut(last_us)
+            self._is_ahead = True  # again
 
     def close(self) -> None:
         """Close the ledger. A federation of the same run continues it."""
         with self._lock:
-            if not self._has_failed and self.size - self._kept >= KEEP_AT_END:
+            if not self._is_ahead and self.size - self._kept >= KEEP_AT_END:
                 self._keep()
             self._end()
 
@@ -276,12 +277,13 @@ class Federation:
     def _commit(self) -> tuple[Event, ...]:
         """Commit the events since the last commit, pass them to `on_commit`, and return them."""
         piece = self._live.take(self.run)
-        if piece.events:
-            self._has_failed = True  # until it is on disk, nobody may act on the state in memory
+        if not piece.events:
+            self._is_ahead = False
+        else:
             begins = isinstance(piece.events[0], RunContinued)
             stored = counted_on(piece, -self._before) if self._before else piece
             self._write(self._continuing_run(stored) if begins else stored)
-            self._has_failed = False
+            self._is_ahead = False
             if begins:
                 self._began_us = piece.times_us[0]
             if self.size - self._kept >= KEEP_AFTER:
@@ -314,11 +316,12 @@ class Federation:
     def _require_whole(self) -> None:
         if self._overtaken:
             raise SequenceConflict(self._overtaken)
-        if self._has_failed:
+        if self._is_ahead:
             raise WriteFailed(
-                f"run {value(self.run)}: an earlier write failed, so what this process knows is not on disk; open the "
-                "federation again once the disk has room"
+                f"run {value(self.run)}: an earlier decision or write failed, so what this process knows is not on "
+                "disk; open the federation again once the disk has room"
             )
+        self._is_ahead = True  # until what is decided next is on disk, nobody may act on the state in memory
 
     def _keep(self) -> None:
         """Save a snapshot of the run, for the next federation of it."""

@@ -9,6 +9,8 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,7 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.reports import ReportStart
 from fsar_ledger.runtime.federation import Federation
+from fsar_ledger.runtime.live import Decision, LiveRun
 from fsar_ledger.sources.adapter import MAX_LINE
 
 S = 1_000_000_000
@@ -160,7 +163,7 @@ def test_after_a_write_that_failed_nothing_is_decided_and_the_next_federation_go
             patch.setattr(os, "fdatasync", refused, raising=False)
             with pytest.raises(FsarLedgerError):
                 one.give("ReportStart", A, robot=A, action_id="t/1.1")
-        with pytest.raises(WriteFailed, match="an earlier write failed"):
+        with pytest.raises(WriteFailed, match="an earlier decision or write failed"):
             one.give("ReportStart", A, robot=A, action_id="t/1.1")
     with federate(tmp_path / "ledger") as one:
         one.advance()
@@ -254,6 +257,26 @@ def test_a_clock_that_jumps_back_stands_still_on_record(tmp_path: Path) -> None:
     [record] = open_ledger(tmp_path / "ledger").runs()
     assert list(record.times_us) == sorted(record.times_us)
     assert not [event for event in record.events if isinstance(event, ExecutionStarted)]
+    assert is_good(tmp_path / "ledger")
+
+
+def test_nothing_more_is_decided_once_a_handler_has_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def give(live: LiveRun, time_us: int, command: CommandGiven) -> Decision:
+        live.kernel.happen(time_us, command)
+        raise RuntimeError
+
+    with federate(tmp_path / "ledger") as one:
+        with monkeypatch.context() as patch:
+            patch.setattr(LiveRun, "give", give)
+            with pytest.raises(RuntimeError):
+                one.give("SubmitTask", A, **TASK)
+        ways: list[Callable[[], object]] = [one.advance, one.cut, partial(one.give, "SubmitTask", A, **TASK)]
+        for decide in ways:
+            with pytest.raises(WriteFailed, match="an earlier decision or write failed"):
+                decide()
+    assert given(tmp_path / "ledger") == []
+    with federate(tmp_path / "ledger") as one:
+        assert one.give("SubmitTask", A, **TASK).rejected is None
     assert is_good(tmp_path / "ledger")
 
 
