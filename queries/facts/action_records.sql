@@ -63,7 +63,8 @@ SELECT
     bool_or(
         target_role IS NOT NULL
         OR type IN ('RequestIssued.v1', 'CommandIssued.v1', 'RegistryQueried.v1', 'OutsiderRequestInjected.v1')
-    ) AS is_request
+    )
+    AND NOT bool_or(type = 'OwnStepDecided.v1') AS is_request -- a failed step of one's own asks the registry for help
 FROM records
 INNER JOIN runs ON records.run_id = runs.run_id
 GROUP BY records.run_id, records.action_id

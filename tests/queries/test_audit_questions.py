@@ -223,6 +223,14 @@ def test_a_robot_helps_another_beside_its_own_action() -> None:
     assert asked("robot_activity", columns, *ROBOTS[:1], *events, at_us=4) == [own]
 
 
+def test_an_own_step_that_asks_for_help_after_it_failed_is_no_request() -> None:
+    own = event("OwnStepDecided", 1, action_id="t1/1.1", decided_by="robot/A1", capability="lift")
+    failed = event("ExecutionFailed", 2, action_id="t1/1.1", robot="robot/A1", failure=1)
+    asks = event("RegistryQueried", 3, action_id="t1/1.1", requested_by="robot/A1", capability="lift", candidates=[])
+    assert asked("requests", "is_request", own, failed, asks, action="t1/1.1") == [(False,)]
+    assert asked("requests", "is_request", asks, action="t1/1.1") == [(True,)]
+
+
 def test_a_time_that_is_no_number_is_refused() -> None:
     with pytest.raises(QueryFailed, match="noon"):
         asked("trust_at", "robot", trust(1, "A1", "B1", "task"), at_us="noon")
