@@ -3,7 +3,7 @@
 import signal
 import socket
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from ssl import PROTOCOL_TLS_SERVER, SSLContext, SSLError
@@ -31,6 +31,16 @@ def require_service() -> None:
         raise UsageError(
             f'serve: found no library {missing[0]}, expected it; install it with `pip install "fsar-ledger[service]"`'
         )
+
+
+@contextmanager
+def _interrupted_by_sigterm() -> Iterator[None]:
+    """Let SIGTERM end what runs meanwhile as Ctrl-C does."""
+    previous = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)
 
 
 def _require_certificate(certificate: Path | None, key: Path | None) -> None:
@@ -69,8 +79,7 @@ class ServedFederation(Answer):
 
         service = Service(self._out, self._run, opened, Principals(self._principals), self._rate, self._viewed)
         certificate, key = self._given["certificate"], self._given["certificate_key"]
-        previous = signal.signal(signal.SIGTERM, signal.default_int_handler)
-        with self._listening() as listener:
+        with self._listening() as listener, _interrupted_by_sigterm():
             host, port = listener.getsockname()[:2]
             scheme = "http" if certificate is None else "https"
             addresses = [f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"]
@@ -83,7 +92,6 @@ class ServedFederation(Answer):
                     service.serve(listener, certificate, key)
             finally:
                 ended.set()
-                signal.signal(signal.SIGTERM, previous)
         self._given["say"]("ended: every decision that was answered is on disk")
         yield from ()
 
@@ -223,7 +231,8 @@ class DemoPlayback(Answer):
         """Yield a line for each story, once it has ended."""
         from fsar_ledger.service.demo import HUB, HUMAN, TASKS, Demo, play
 
-        with Demo(self._out, self._by_hand, self._step_s) as demo, demo.client(HUB) as hub:
+        demo = Demo(self._out, self._by_hand, self._step_s)
+        with _interrupted_by_sigterm(), demo, demo.client(HUB) as hub:
             yield printable.lines(f"console: {demo.url}/console", f"token of {HUMAN}: {demo.tokens[HUMAN]}")
             for number, (name, _tasks) in enumerate(TASKS):
                 ended = play(hub, number, 3_600 if self._by_hand else 120 * self._step_s)
@@ -236,7 +245,7 @@ class DemoPlayback(Answer):
     "demo out/demo --by-hand",
     name="demo",
     takes=(),
-    after_interruption=CONTINUES,
+    after_interruption="what was recorded stays, its processes have ended, and a new demo needs a new folder",
 )
 def demo(
     out: Annotated[Place, argument("OUT", "A new folder.")],

@@ -277,12 +277,16 @@ class Demo:
 
     def __enter__(self) -> "Demo":
         """Start everything. Raises: WriteFailed if the service does not begin."""
-        self._start("service")
-        with self.client(HUMAN) as human:
-            human.give("SetSupervisionDensity", issued_by=HUMAN, robot=REVIEWED, review_every=1, reason="demo")
-        for name in (*STORIES, OWN, *(() if self._by_hand else (HUMAN,))):
-            self._start(name)
-        self._watch.start()
+        try:
+            self._start("service")
+            with self.client(HUMAN) as human:
+                human.give("SetSupervisionDensity", issued_by=HUMAN, robot=REVIEWED, review_every=1, reason="demo")
+            for name in (*STORIES, OWN, *(() if self._by_hand else (HUMAN,))):
+                self._start(name)
+            self._watch.start()
+        except BaseException:
+            self.__exit__()
+            raise
         return self
 
     def __exit__(self, *_: object) -> None:

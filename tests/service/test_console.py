@@ -16,7 +16,7 @@ import fsar_ledger
 from fsar_ledger.events.supervision import SupervisionDensitySet, SupervisorResponded
 from fsar_ledger.service.demo import HUB, HUMAN, OWN, STORIES, TASKS, Demo, play
 from fsar_ledger.service.pages import FILES, page_file
-from tests.service.site import TASK, Site, is_good, take_back
+from tests.service.site import TASK, Site, is_good, take_back, until
 
 pytestmark = pytest.mark.slow
 EVIL = "<img src=x onerror=alert(1)>"
@@ -243,6 +243,27 @@ def test_the_command_plays_its_stories(tmp_path: Path) -> None:
     assert is_good(tmp_path / "ledger")
     again = subprocess.run(command, capture_output=True, text=True)
     assert (again.returncode, "expected a new folder" in again.stderr) == (2, True)
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("words", [0, 1])
+def test_a_demo_that_is_ended_leaves_no_process_behind(tmp_path: Path, how: signal.Signals, words: int) -> None:
+    """Ended as it starts, or once it has told its address."""
+    ledger = tmp_path / "ledger"
+    demo = subprocess.Popen(
+        (sys.executable, "-m", "fsar_ledger", "demo", f"{ledger}"), stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert demo.stdout is not None
+    if words:
+        assert demo.stdout.readline().startswith(b"console: ")
+    else:
+        until((ledger / "ledger.json").exists)
+    demo.send_signal(how)
+    told = demo.communicate(timeout=30)[1]
+    assert (demo.returncode, told.count(b"\n")) == (130, 1)
+    assert b"a new demo needs a new folder" in told
+    with fsar_ledger.federate(ledger, run="live"):  # which refuses while a service governs the run
+        pass
 
 
 def test_a_robot_that_died_in_the_middle_of_an_execution_ends_it(tmp_path: Path) -> None:
