@@ -19,6 +19,7 @@ from fsar_ledger.projections.registry import surface
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.task import Task
 from fsar_ledger.projections.trust import is_within
+from fsar_ledger.runtime.handlers.supervision import is_too_late
 
 if TYPE_CHECKING:
     from .moments import Past
@@ -220,7 +221,7 @@ def situation(past: "Past", busy_us: Mapping[str, int], robot: str | None) -> Si
 
     seen = Coverage(past.started)
     return Situation(
-        robots=seen.all("fleet", (_robot(past, name, seen, past.time_us >= busy_us.get(name, 0)) for name in robots)),
+        robots=seen.all("fleet", (_robot(past, name, seen, busy_us.get(name, 0)) for name in robots)),
         requests=seen.all("request", requests),
         claims=seen.all(
             "authority",
@@ -244,7 +245,7 @@ def situation(past: "Past", busy_us: Mapping[str, int], robot: str | None) -> Si
             (
                 CallNow(number, call.supervisor, call.purpose, call.subject.action_id)
                 for number, call in state.supervision.calls.items()
-                if robot is None or call.subject.action_id in names
+                if not is_too_late(state, call) and (robot is None or call.subject.action_id in names)
             ),
         ),
         tasks=seen.all("task", (_task(task) for task in state.task.values() if robot in (None, task.robot))),
@@ -258,8 +259,7 @@ def situation(past: "Past", busy_us: Mapping[str, int], robot: str | None) -> Si
 def _open_requests(past: "Past") -> Iterator[Request]:
     """Yield the open requests, each with the robot that has it, or to which it has gone, as its target.
 
-    A request that no event closes, such as one of an abandoned task in another system's run, is open only while it is
-    executed.
+    A request that no event closes, as of an abandoned task in another system's run, is open only while executed.
     """
     actions = past.state.execution.actions
     for open_request in past.state.request.open.values():
@@ -329,8 +329,9 @@ def _has_role(state: State, robot: str | None, roles: tuple[str, ...], domain: s
     )
 
 
-def _robot(past: "Past", name: Robot, seen: Coverage, is_known: bool) -> RobotNow:
+def _robot(past: "Past", name: Robot, seen: Coverage, busy_us: int) -> RobotNow:
     state = past.state
+    is_known = past.time_us >= busy_us and name not in (*state.fleet.departed, *state.knowledge.suspected)
     world, member = state.world, state.fleet.robots.get(name, Member(name, "", 0, None))
     offers: dict[str, tuple[str, ...]] = {}
     for offer in surface(state.registry, name):

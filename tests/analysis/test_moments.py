@@ -1,7 +1,10 @@
 """The state at a moment is that of a fresh simulation which was stopped then."""
 
+from pathlib import Path
+
 import pytest
 
+import fsar_ledger
 from fsar_ledger.analysis.moments import EVERY, Timeline
 from fsar_ledger.analysis.situation import Situation, situation
 from fsar_ledger.designs.constants import Constants
@@ -110,3 +113,28 @@ def test_the_initial_trust_of_a_robot_that_joined_later_is_shown() -> None:
         found = [(one.robot, one.peer, one.scope) for one in situation(past, {}, robot).trust or ()]
         assert found[-2:] == [(B, "every robot", "session"), ("every robot", B, "task")]
     assert not any("every robot" in (one.robot, one.peer) for one in situation(past, {}, A).trust or ())
+
+
+def test_nothing_is_said_of_what_a_silent_robot_does_and_a_call_that_came_to_nothing_is_not_open(
+    tmp_path: Path,
+) -> None:
+    now, fleet, b = [1_772_359_200], "supervisor/fleet", "robot/B1"
+    periods = {"heartbeat_us": 2_000_000, "suspect_us": 4_000_000, "depart_us": 4_000_000}
+    settings = [f"membership.{name}={period_us}" for name, period_us in periods.items()]
+    with fsar_ledger.federate(
+        tmp_path / "ledger", run="day", settings=settings, clock=lambda: now[0] * 1_000_000_000
+    ) as hall:
+        hall.give("ReportPresence", b, robot=b, is_on=True)
+        hall.give("SetSupervisionDensity", fleet, issued_by=fleet, robot=b, review_every=1, reason="test")
+        steps = ["A door.open.secure B"]
+        hall.give("SubmitTask", "service/hub", robot="robot/A1", task_id="t", steps=steps, budget_us=600_000_000)
+        hall.give("JudgeRequest", b, robot=b, action_id="t/1.1", accepts=True)
+        for _ in range(10):
+            now[0] += 1
+            hall.advance()
+    seen = []
+    for at_s in (1, 5, None):
+        found = fsar_ledger.Ledger(tmp_path / "ledger").state("day", at=at_s)
+        [silent] = [robot for robot in found.standing.robots or () if robot.robot == b]
+        seen.append((silent.is_idle, silent.departed, len(found.standing.calls or ())))
+    assert seen == [(True, None, 1), (None, None, 1), (None, "silent", 0)]

@@ -110,7 +110,7 @@ def respond_to_call(
             command, command.action_id, f"{finding}, expected one to {command.supervisor}", command.supervisor
         )
     refused = _unfit(call, command)
-    if has_ended(state, call):
+    if is_settled(state, call) or is_too_late(state, call):
         refused = "what the call was about has ended, expected an action or a request under way"
     if refused is not None:
         return rejected(command, command.action_id, refused, command.supervisor)
@@ -122,15 +122,14 @@ def is_settled(state: State, call: SupervisorCalled) -> bool:
     return call.subject.action_id not in state.request.open and call.subject.action_id not in state.execution.actions
 
 
-def has_ended(state: State, call: SupervisorCalled) -> bool:
-    """Return whether an answer would come too late: the review is of a request that was closed or given up meanwhile.
+def is_too_late(state: State, call: SupervisorCalled) -> bool:
+    """Return whether the review is of a request that was closed or given up meanwhile.
 
-    A closed request is kept until its task goes on.
+    It is kept until its task goes on.
     """
-    action_id = call.subject.action_id
-    request = state.request.open.get(action_id)
-    is_closed = request is not None and request.is_over and action_id not in state.execution.actions
-    return is_settled(state, call) or (call.purpose == "review" and is_closed)
+    request = state.request.open.get(call.subject.action_id)
+    is_over = request is not None and request.is_over and call.subject.action_id not in state.execution.actions
+    return call.purpose == "review" and is_over
 
 
 def _unfit(call: SupervisorCalled, command: RespondToCall) -> str | None:
