@@ -264,6 +264,9 @@ class EventStream(Response):
                 pass
 
         await send({"type": "http.response.start", "status": 200, "headers": self.raw_headers})
+        if scope["method"] == "HEAD":
+            await send({"type": "http.response.body", "body": b""})
+            return
         await put(b": from %d\n\n" % self._first)
         following = asyncio.create_task(self._follow(put))
         leaving = asyncio.create_task(wait_for_disconnect())

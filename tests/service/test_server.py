@@ -135,6 +135,13 @@ def test_new_events_come_as_they_happen(site: Site) -> None:
     assert [event.type for event in seen[:2]] == ["CommandGiven", "TaskArrived"]
 
 
+def test_who_asks_for_the_head_of_the_events_alone_follows_nothing(site: Site) -> None:
+    head = f"HEAD /events HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {site.tokens['auditor/anna']}\r\n\r\n"
+    answers = site.raw(f"{head}GET /health HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n".encode())
+    assert b"text/event-stream" in answers
+    assert b'"status":"ok"' in answers
+
+
 def test_who_follows_is_told_nothing_more_once_its_token_is_taken_back(site: Site) -> None:
     seen: list[bytes] = []
     thread = threading.Thread(target=lambda: seen.append(site.asked("GET", "/events?after=-1", b"", "auditor/anna")))
