@@ -161,7 +161,7 @@ def _facts(state: State, call: SupervisorCalled) -> Iterator[str]:
         yield f"{executor} trusts {requester}: {trusted}."
     if (recovery := state.recovery.get(about)) is not None:
         yield f"Cause: {recovery.cause or 'not known'}. Attempts of its own: {recovery.number}."
-        yield f"Asked for help: {', '.join(recovery.tried) or 'nobody could help'}."
+        yield f"Asked for help: {', '.join(recovery.tried) or 'nobody'}."
     for robot in (recorded_robot(name) for name in (executor, requester) if name is not None):
         if (away := _away(state, robot)) is not None:
             yield f"{robot} is away: {away}."

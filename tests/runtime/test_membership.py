@@ -70,6 +70,7 @@ def test_what_the_robot_executes_goes_outward_through_recovery_level_by_level() 
     assert [event.to_level for event in play.of(RecoveryEscalated)] == ["peer", "fleet", "human"]
     assert [event.helper for event in play.of(ReassignmentDecided)] == [None]
     assert [event.supervisor for event in play.of(SupervisorCalled)] == [FLEET_SUPERVISOR]
+    assert "Asked for help: nobody." in shown(play)[0].known
     assert replay_run(play.record) is None
 
 
