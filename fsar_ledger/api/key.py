@@ -129,7 +129,7 @@ def anchor_of(file: str | PathLike[str] | None, trusted: "VerifierKey | None" = 
     if anchor is not None and anchor.note is None:
         raise UsageError(
             f"{option('anchor', anchor.file)}: found no checkpoint ({anchor.reason}), expected one of this ledger that "
-            "was kept elsewhere"
+            "was kept elsewhere, byte for byte: three lines, an empty one, and its signatures if it has any"
         )
     note = None if anchor is None else anchor.note
     if note is not None and trusted is not None and (why := doubt(note, trusted)) is not None:

@@ -236,6 +236,9 @@ def test_verify_ends_with_3_where_the_key_or_the_anchor_does_not_agree(
         one_message(called, 2, f"--anchor {anchored[-1]}: found a checkpoint with a signature of {key_of(folder)}")
     one_message(call("verify", ledger, "--anchor", tmp_path / "none"), 2, "none", "found no file")
     one_message(call("verify", ledger, "--anchor", folder / "event.tlog-proof"), 2, "found no checkpoint")
+    typed = tmp_path / "typed"
+    typed.write_text("\n".join((ledger / "checkpoint").read_text().splitlines()[:3]))
+    one_message(call("verify", ledger, "--anchor", typed), 2, "found no checkpoint", "three lines, an empty one, and")
     one_message(call("verify", ledger, "--trusted-key", "nonsense"), 2, "nonsense")
 
 
