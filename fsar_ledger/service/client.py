@@ -43,7 +43,10 @@ class Answered(msgspec.Struct, frozen=True):
 
 
 class FollowedEvent(msgspec.Struct, frozen=True):
-    """An event of the run: its seq, type (`ExecutionStarted`) and columns, and its row as the ledger hashes it."""
+    """An event of the run: its seq, type (`ExecutionStarted`) and columns, and its row as the ledger hashes it.
+
+    `seq` is what `Client.events` takes as `after`. It counts on where the run is cut; that in the row begins anew.
+    """
 
     seq: int
     type: str
@@ -124,14 +127,18 @@ class Client:
                 answer = connection.getresponse()
                 if answer.status != 200 and answer.status not in TRANSIENT:
                     raise Refused(answer.status, _reason(answer.read()))
+                row = b""
                 for name, value in _fields(answer) if answer.status == 200 else ():
                     if name == b"from":
                         after, pauses = int(value) - 1, self._pauses()
+                    elif name == b"data":
+                        row = value
                     elif name == b"id":
                         after = int(value)
-                    elif name == b"data":
-                        columns = msgspec.json.decode(value, type=dict[str, Any])
-                        yield FollowedEvent(columns["seq"], columns["type"].partition(".")[0], columns, value)
+                        if row:
+                            columns = msgspec.json.decode(row, type=dict[str, Any])
+                            yield FollowedEvent(after, columns["type"].partition(".")[0], columns, row)
+                            row = b""
                 reason = "the service ended"
             except (OSError, http.client.HTTPException) as error:
                 reason = f"{error}"

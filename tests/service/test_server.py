@@ -112,6 +112,19 @@ def test_who_follows_a_robot_that_is_none_is_told_which_there_are_unless_it_is_a
         read(site.ways["robot/A1"].events(robot="A1"), 1)
 
 
+def test_who_follows_over_a_cut_goes_on_from_the_seq_that_it_was_told(site: Site) -> None:
+    hub, anna = site.ways["service/hub"], site.ways["auditor/anna"]
+    hub.give("SubmitTask", task_id="t", **TASK)
+    federation = site.service._decider._federation
+    assert federation is not None
+    assert federation.cut() == "day.2"
+    given = hub.give("SubmitTask", task_id="u", **TASK)
+    seen = read(anna.events(after=-1), given.seq + 1)
+    assert [event.seq for event in seen] == list(range(len(seen)))
+    assert (seen[-1].type, seen[-1].columns["run_id"]) == ("CommandGiven", "day.2")
+    assert read(anna.events(after=seen[-1].seq), 1)[0].type == "TaskArrived"
+
+
 def test_who_knows_more_events_than_the_run_has_is_told_that_some_are_lost(site: Site) -> None:
     newest = site.ways["robot/A1"].give("SubmitTask", task_id="t", **TASK).seq
     until(lambda: site.ways["auditor/anna"].known() > newest + 1)
