@@ -148,6 +148,9 @@ def test_a_client_refuses_what_no_header_and_no_json_can_hold() -> None:
         for key in ("任务", "a\nb"):
             with pytest.raises(UsageError, match="expected characters of Latin-1"):
                 way.give("ReportStart", key=key)
+        for key in ("", " ", " k", "k "):
+            with pytest.raises(UsageError, match="expected at least one character, and no blank at either end"):
+                way.give("ReportStart", key=key)
         for name in ("t\ud800", object()):
             with pytest.raises(UsageError, match="expected fields that are JSON"):
                 way.give("ReportStart", action_id=name)
