@@ -264,7 +264,7 @@ class Service:
             "fsar_writes_total": ("counter", self._decider.writes),
             "fsar_commands_waiting": ("gauge", self._decider.waiting),
             "fsar_subscriptions": ("gauge", self._subscriptions.total()),
-            "fsar_healthy": ("gauge", int(self._decider.failed is None)),
+            "fsar_healthy": ("gauge", int((self._decider.failed or self._principals.failure()) is None)),
         }
         text = "".join(f"# TYPE {name} {kind}\n{name} {count}\n" for name, (kind, count) in lines.items())
         text += "# TYPE fsar_answers_total counter\n"

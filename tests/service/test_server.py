@@ -192,6 +192,7 @@ def test_while_the_principals_cannot_be_read_nobody_is_let_in_and_health_says_wh
             assert answer.startswith(b"HTTP/1.1 503 ")
             assert b"no token can be checked" in answer
         assert b"principals" in site.asked("GET", "/health")
+        assert b"\nfsar_healthy 0\n" in site.asked("GET", "/metrics")
         with pytest.raises(Refused, match="no token can be checked"):
             site.ways["robot/A1"].give("SubmitTask", task_id="t", **TASK)
     file.write_bytes(kept)
