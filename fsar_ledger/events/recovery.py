@@ -115,7 +115,7 @@ class AssistanceAdmitted(Event, frozen=True, kw_only=True):
 
 
 class AssistanceDeclined(Event, frozen=True):
-    """The helper is busy."""
+    """The helper is busy, or in a live fleet says no."""
 
     subject: Subject[TaskId, ActionId]
     robot: Robot

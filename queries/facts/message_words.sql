@@ -52,7 +52,7 @@ WITH words (type, part, sender, receiver, words, detail) AS (
     ('RecoveryEscalated.v1', 1, 'decider', 'decider', 'recovery goes on', 'levels'),
     ('AssistanceRequested.v1', 1, 'decider', 'helper', 'asks for help', NULL),
     ('AssistanceAdmitted.v1', 1, 'helper', 'robot', 'agrees to help', NULL),
-    ('AssistanceDeclined.v1', 1, 'helper', 'robot', 'is busy', NULL),
+    ('AssistanceDeclined.v1', 1, 'helper', 'robot', 'declines', NULL),
     ('AssistanceEnded.v1', 1, 'helper', 'robot', 'has helped', NULL),
     ('AssistanceFailed.v1', 1, 'helper', 'robot', 'could not help', 'cause'),
     ('ReassignmentDecided.v1', 1, 'decider', 'helper', 'reassigns', 'checkpoint'),

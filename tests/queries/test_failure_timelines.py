@@ -76,13 +76,13 @@ def test_the_last_attempt_succeeded_when_the_failure_is_resolved_after_it_and_is
     assert found == [("attempt 1", "success", 2.0), ("resolved", None, 2.0)]
 
 
-def test_a_helper_helped_or_was_busy_and_a_reassignment_names_its_checkpoint() -> None:
+def test_a_helper_helped_or_declined_and_a_reassignment_names_its_checkpoint() -> None:
     helped = step("AssistanceRequested", 31 * S, "peer", helper=C)
     resolved = {**RESOLVED, "level": "peer"}
     found = asked("failure_timeline", "what result", failed(10 * S), helped, resolved)[0]
     assert found == (f"asks {C} for help", "helped")
     busy = act("AssistanceDeclined", 32 * S, "t1/1.1", robot=B, helper=C, failure=1)
-    assert asked("failure_timeline", "result", failed(10 * S), helped, busy, resolved)[0] == ("busy",)
+    assert asked("failure_timeline", "result", failed(10 * S), helped, busy, resolved)[0] == ("declined",)
     moved = event(
         "ReassignmentDecided", 50 * S, **about(by="service/recovery"), robot=B, failure=1, helper=C, checkpoint="t1/1"
     )
@@ -110,7 +110,7 @@ def test_a_helper_that_is_asked_twice_gives_each_question_its_own_answer() -> No
     busy = act("AssistanceDeclined", 32 * S, "t1/1.1", robot=B, helper=C, failure=1)
     broken = act("AssistanceFailed", 45 * S, "t1/1.1", robot=B, helper=C, failure=1, cause="obstruction")
     assert asked("failure_timeline", "what result", failed(10 * S), asks[0], busy, asks[1], broken) == [
-        (f"asks {C} for help", "busy"),
+        (f"asks {C} for help", "declined"),
         (f"asks {C} for help", "no help: obstruction"),
     ]
 

@@ -345,7 +345,7 @@ def test_every_event_of_an_action_is_told_or_is_known_to_be_silent() -> None:
         ),
         ("AssistanceRequested", {"decided_by": B, "robot": B, "helper": C, "level": "peer"}, (B, C, "asks for help")),
         ("AssistanceAdmitted", {"decided_by": C, "robot": B, "helper": C, "level": "peer"}, (C, B, "agrees to help")),
-        ("AssistanceDeclined", {"robot": B, "helper": C}, (C, B, "is busy")),
+        ("AssistanceDeclined", {"robot": B, "helper": C}, (C, B, "declines")),
         (
             "ReassignmentDecided",
             {"decided_by": "service/recovery", "robot": B, "helper": C, "checkpoint": "t1/2"},
