@@ -17,6 +17,7 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
     AssistanceDeclined,
+    AssistanceFailed,
     AssistanceRequested,
     FailureResolved,
     RecoveryAttempted,
@@ -204,6 +205,15 @@ def test_a_peer_helps_by_its_own_word_and_says_when_it_has() -> None:
     assert not play.of(FailureResolved)
     play.does(ReportAssistance(robot=helper, action_id=OPENING, succeeded=True))
     assert [event.level for event in play.of(FailureResolved)] == ["peer"]
+    assert replay_run(play.record) is None
+
+
+def test_a_peer_that_could_not_help_and_does_not_say_why_is_not_worn() -> None:
+    play = at_the_peers()
+    helper = play.of(AssistanceRequested)[-1].helper
+    play.does(JudgeAssistance(robot=helper, action_id=OPENING, accepts=True))
+    play.does(ReportAssistance(robot=helper, action_id=OPENING, succeeded=False))
+    assert [event.cause for event in play.of(AssistanceFailed)] == ["not told"]
     assert replay_run(play.record) is None
 
 

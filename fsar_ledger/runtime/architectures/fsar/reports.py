@@ -95,7 +95,7 @@ class ReportAssistance(RobotReport):
     robot: Robot
     action_id: str
     succeeded: bool
-    cause: str = "degradation"
+    cause: str = "not told"
 
 
 class ReportPresence(RobotReport):
