@@ -132,11 +132,11 @@ class Client:
                 row = b""
                 for name, value in _fields(answer) if answer.status == 200 else ():
                     if name == b"from":
-                        after, pauses = int(value) - 1, self._pauses()
+                        after = int(value) - 1
                     elif name == b"data":
                         row = value
                     elif name == b"id":
-                        after = int(value)
+                        after, pauses = int(value), self._pauses()
                         if row:
                             columns = msgspec.json.decode(row, type=dict[str, Any])
                             yield FollowedEvent(after, columns["type"].partition(".")[0], columns, row)

@@ -125,6 +125,22 @@ def test_who_follows_over_a_cut_goes_on_from_the_seq_that_it_was_told(site: Site
     assert read(anna.events(after=seen[-1].seq), 1)[0].type == "TaskArrived"
 
 
+def test_who_follows_what_the_service_cannot_read_is_told_in_the_end(site: Site) -> None:
+    site.ways["robot/A1"].give("SubmitTask", task_id="t", **TASK)
+    site.service._feed._kept.clear()
+    away = site.ledger.rename(site.ledger.with_name("away"))
+    waited: list[float] = []
+
+    def pause(seconds: float) -> None:
+        waited.append(seconds)
+        assert sum(waited) <= 1
+
+    anna = Client(f"http://127.0.0.1:{site.port}", site.tokens["auditor/anna"], patience_s=1, pause=pause)
+    with pytest.raises(Refused, match="the service does not answer"):
+        next(anna.events(after=-1))
+    away.rename(site.ledger)
+
+
 def test_who_knows_more_events_than_the_run_has_is_told_that_some_are_lost(site: Site) -> None:
     newest = site.ways["robot/A1"].give("SubmitTask", task_id="t", **TASK).seq
     until(lambda: site.ways["auditor/anna"].known() > newest + 1)
