@@ -42,6 +42,11 @@ records AS (
 helped AS (
     SELECT DISTINCT run_id, action_id, failure, helper
     FROM assistance_ended
+),
+
+fruitless AS (
+    SELECT DISTINCT run_id, action_id, failure, number
+    FROM recovery_attempt_failed
 )
 
 SELECT
@@ -59,7 +64,7 @@ SELECT
 FROM records
 LEFT JOIN ranks ON records.level = ranks.level
 LEFT JOIN ranks AS targets ON records.to_level = targets.level
-LEFT JOIN recovery_attempt_failed AS fruitless
+LEFT JOIN fruitless
     ON
         records.run_id = fruitless.run_id AND records.action_id = fruitless.action_id
         AND records.failure = fruitless.failure AND records.number = fruitless.number

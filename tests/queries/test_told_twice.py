@@ -1,0 +1,31 @@
+"""What a record tells twice, or at the same moment, is no second offence and no other one."""
+
+from typing import Any
+
+from tests.queries.histories import Row, S, act, answer, event, run
+
+ROBOT = "robot/A1"
+
+
+def about(name: str, time_us: int, /, **fields: Any) -> Row:
+    """One event of the recovery of A1's first failure of an action."""
+    return act(name, time_us, "t1/1", robot=ROBOT, failed_action="t1/1", failure=1, **fields)
+
+
+def test_a_failed_attempt_that_is_told_twice_is_one_use_of_the_budget() -> None:
+    told = about("RecoveryAttemptFailed", 3 * S, number=1, result="failure")
+    attempts = [
+        about("RecoveryAttempted", 2 * S, level="local", number=1, deadline_us=9 * S),
+        told,
+        told,
+        about("RecoveryAttempted", 4 * S, level="local", number=2, deadline_us=9 * S),
+        about("FailureResolved", 5 * S, level="local"),
+    ]
+    budget = event("RecoveryBudgetSet", robot=ROBOT, level="local", t_max_us=60 * S, n_max=2)
+    history = run(budget, about("ExecutionFailed", 1 * S), *attempts)
+    assert answer("invariants/i4_outward_recovery", history) == []
+    assert [seq for (seq,) in answer("facts/recovery_acts", history, columns=("seq",))] == [2, 3, 6, 7]
+    history[1]["n_max"] = 1
+    assert answer("invariants/i4_outward_recovery", history, columns=("seq", "found")) == [
+        (6, "failure 1: use 2 of level local, which has a budget of 1")
+    ]
