@@ -16,7 +16,7 @@ WITH pairs AS (
 
 SELECT
     conflicts.run_id, conflicts.action_id, conflicts.dimension, conflicts.began_us,
-    max(pairs.later_seq) FILTER (pairs.from_us = conflicts.began_us) AS seq,
+    min(pairs.later_seq) FILTER (pairs.from_us = conflicts.began_us) AS seq,
     list(DISTINCT pairs.seq ORDER BY pairs.seq) AS claim_seqs,
     list(DISTINCT pairs.claimant ORDER BY pairs.claimant) AS claimants
 FROM conflicts

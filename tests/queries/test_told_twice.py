@@ -29,3 +29,12 @@ def test_a_failed_attempt_that_is_told_twice_is_one_use_of_the_budget() -> None:
     assert answer("invariants/i4_outward_recovery", history, columns=("seq", "found")) == [
         (6, "failure 1: use 2 of level local, which has a budget of 1")
     ]
+
+
+def test_of_claims_made_at_one_moment_the_second_begins_the_conflict() -> None:
+    claims = [
+        act("AuthorityClaimed", at, "t1/1", dimension="override", claimant=f"robot/{name}1", reason="accepted")
+        for at, name in ((0, "A"), (S, "B"), (S, "C"))
+    ]
+    found = answer("facts/conflicting_claims", run(*claims), columns=("began_us", "seq", "claim_seqs"))
+    assert found == [(S, 2, [1, 2, 3])]
