@@ -3,7 +3,8 @@
 -- Grain: one row per start for another robot, and per end of an execution that was started for another robot or by
 --   another robot than ends it; without actions that were under way when the record began
 -- Key: run_id, seq
--- Units: time_us microseconds of run time; next_seq position of the task's next step or end
+-- Units: time_us microseconds of run time; begun_seq position of the start, or its own where the robot ends what it
+--   did not begin; next_seq position of the task's next step or end
 -- NULL: principals that the record does not name; began_by, on_behalf_of of an end without a start; next_seq and
 --   is_given_up of a start, and of an end that no step or end of the task follows
 -- Example: fsar-ledger query facts/cross_robot_records LEDGER
@@ -24,7 +25,8 @@ finished AS (
         done.run_id, done.seq, done.time_us, done.task_id, done.action_id, done.requested_by, done.executed_by,
         done.supervised_by, done.robot,
         if(act.is_begun, done.robot, starts.robot) AS began_by,
-        if(act.is_begun, own.on_behalf_of, starts.on_behalf_of) AS on_behalf_of
+        if(act.is_begun, own.on_behalf_of, starts.on_behalf_of) AS on_behalf_of,
+        coalesce(if(act.is_begun, own.seq, NULL), done.seq) AS begun_seq
     FROM execution_finished AS done
     ANTI JOIN actions_under_way AS earlier ON done.run_id = earlier.run_id AND done.action_id = earlier.action_id
     ASOF LEFT JOIN execution_started AS starts
@@ -49,30 +51,27 @@ progress AS (
 ends AS (
     -- An action that is no step of a task, such as a request on a robot's own initiative, has no step waiting for it.
     SELECT
-        finished.run_id, finished.seq, finished.time_us, finished.action_id, finished.requested_by,
-        finished.executed_by, finished.supervised_by, finished.robot, finished.began_by, finished.on_behalf_of,
+        done.run_id, done.seq, done.time_us, done.action_id, done.requested_by, done.executed_by, done.supervised_by,
+        done.robot, done.began_by, done.begun_seq, done.on_behalf_of,
         CASE WHEN steps.run_id IS NOT NULL THEN later.seq END AS next_seq,
         CASE WHEN steps.run_id IS NOT NULL THEN later.is_given_up END AS is_given_up
-    FROM finished
-    LEFT JOIN steps ON finished.run_id = steps.run_id AND finished.action_id = steps.action_id
+    FROM finished AS done
+    LEFT JOIN steps ON done.run_id = steps.run_id AND done.action_id = steps.action_id
     ASOF LEFT JOIN progress AS later
-        ON finished.run_id = later.run_id AND finished.task_id = later.task_id AND finished.seq < later.seq
+        ON done.run_id = later.run_id AND done.task_id = later.task_id AND done.seq < later.seq
     -- The robot on whose behalf it began may be unknown.
-    WHERE finished.robot <> finished.on_behalf_of OR finished.robot IS DISTINCT FROM finished.began_by
+    WHERE done.robot <> done.on_behalf_of OR done.robot IS DISTINCT FROM done.began_by
 )
 
 SELECT
     run_id, seq, time_us,
     'ExecutionFinished.v1' AS type,
-    action_id, requested_by, executed_by, supervised_by, robot, began_by, on_behalf_of, next_seq, is_given_up
+    action_id, requested_by, executed_by, supervised_by, robot, began_by, begun_seq, on_behalf_of, next_seq, is_given_up
 FROM ends
 UNION ALL
 SELECT
-    run_id, seq, time_us,
-    'ExecutionStarted.v1' AS type,
-    action_id, requested_by, executed_by, supervised_by, robot,
-    robot AS began_by,
-    on_behalf_of,
+    run_id, seq, time_us, 'ExecutionStarted.v1' AS type, action_id, requested_by, executed_by, supervised_by, robot,
+    robot AS began_by, seq AS begun_seq, on_behalf_of,
     NULL AS next_seq,
     NULL AS is_given_up
 FROM execution_started AS starts

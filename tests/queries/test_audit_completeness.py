@@ -36,3 +36,25 @@ def test_a5_lets_each_of_two_robots_end_what_it_began() -> None:
     assert a5_offences(*both, ("ExecutionWithdrawn", OF_B), b_ends) == taken
     assert a5_offences(*both, ("ExecutionFailed", OF_B), b_ends) == taken
     assert a5_offences(*both, ("ExecutionFailed", OF_B), ("ExecutionResumed", OF_B), b_ends) == []
+
+
+def test_a5_judges_an_execution_by_what_was_asked_of_its_robot_before_it_began() -> None:
+    to_c, start, end = (
+        ("RequestIssued", {**OF_C, "request_id": "r"}),
+        ("ExecutionStarted", OF_B),
+        ("ExecutionFinished", OF_B),
+    )
+    again = ("RequestIssued", {**OF_B, "request_id": "again"})
+    assert a5_offences(*ASKED_B, to_c, start, end) == []
+    assert a5_offences(*ASKED_B, to_c, ("RequestAdmitted", OF_C), start, end) == []
+    assert a5_offences(*ASKED_B, start, to_c, ("RequestDenied", OF_C), end) == []
+    assert a5_offences(*ASKED_B, start, again, end) == []
+    anew = "robot/B1 for robot/A1: no admission of the request"
+    assert a5_offences(*ASKED_B, start, ("ExecutionFailed", OF_B), again, start, end) == [anew, anew]
+
+
+def test_a5_takes_an_admission_that_is_told_again_for_the_one_it_was() -> None:
+    admitted, accepted = ASKED_B[1:]
+    assert a5_offences(*ASKED_B, admitted, ("ExecutionStarted", OF_B)) == []
+    found = ["robot/B1 for robot/A1: no acceptance after it was admitted"]
+    assert a5_offences(ASKED_B[0], accepted, admitted, ("ExecutionStarted", OF_B)) == found
