@@ -26,3 +26,9 @@ FROM policy_rule_set AS rules
 INNER JOIN holders AS held
     -- even if no record says that it joined
     ON rules.run_id = held.run_id AND coalesce(rules.robot, held.robot) = held.robot
+UNION ALL
+-- A robot of which no record says that it joined may have the role.
+SELECT rules.run_id, rules.seq, held.robot
+FROM role_policy_rule_set AS rules
+INNER JOIN holders AS held ON rules.run_id = held.run_id
+ANTI JOIN fleet_members AS members ON held.run_id = members.run_id AND held.robot = members.robot

@@ -15,29 +15,30 @@ WITH judges (judges, entries) AS (
     ),
     (
         'i3_jointly_composed_policy a3_no_silent_policy_override',
-        'ExecutionStarted* PolicyWindowOpened* RequestDenied* FleetRuleLearned* RequestDenied>RequestAdmitted
-        RequestDenied>SupervisorResponded PolicyWindowOpened>PolicyWindowClosed ExecutionHeld>SupervisorResponded
-        ExecutionHeld>PolicyWindowClosed ExecutionHeld>FleetRuleLearned ExecutionHeld>PolicyRuleSet
-        ExecutionHeld>RolePolicyRuleSet'
+        'ExecutionStarted* PolicyWindowOpened* RequestDenied* RequestDenied.executed_by FleetRuleLearned*
+        RequestDenied>RequestAdmitted RequestDenied>RequestAdmitted.action_id RequestDenied>SupervisorResponded
+        RequestIssued.carried_policy>RequestIssued.action_id PolicyWindowOpened>PolicyWindowClosed
+        ExecutionHeld>SupervisorResponded ExecutionHeld>PolicyWindowClosed ExecutionHeld>FleetRuleLearned
+        ExecutionHeld>PolicyRuleSet ExecutionHeld>RolePolicyRuleSet'
     ),
-    ('a3_no_silent_policy_override', 'PolicyRuleSet>PolicyConflictEscalated'),
+    ('a3_no_silent_policy_override', 'PolicyRuleSet>PolicyConflictEscalated RequestAdmitted>SupervisorResponded'),
     (
         'i4_outward_recovery',
         'FailureResolved* ExecutionFailed RecoveryAttempted RecoveryEscalated AssistanceRequested AssistanceAdmitted
-        AssistanceEnded ReassignmentDecided SupervisorResponded'
+        AssistanceEnded ReassignmentDecided ReassignmentDecided.helper SupervisorResponded
+        RecoveryBudgetSet>RecoveryEscalated.reason'
     ),
     (
         'i5_audit_attributability audit_attributability',
         'RobotJoined RobotJoined.supervisor SupervisorLeft SupervisorReturned GapDetected.action_id
         GapDetected>RequestAccepted RegistryQueried>RequestAccepted RequestIssued>RequestAccepted RequestIssued>RequestClosed'
     ),
-    ('i5_audit_attributability', 'ExecutionStarted*'),
     (
         'a1_local_runtime_self_sufficiency',
         'ExecutionStarted* OwnStepDecided OwnStepDecided.decided_by OwnStepDecided.executed_by
         RoutinePerformed.decided_by RoutineWithheld.decided_by ExecutionStarted.on_behalf_of'
     ),
-    ('a2_coordination_only_federation', 'ExecutionStarted*'),
+    ('i5_audit_attributability a2_coordination_only_federation', 'ExecutionStarted*'),
     (
         'a4_thin_federation_interface',
         'RequestAccepted* RequestAccepted.decided_by RequestAccepted.executed_by RequestAdmitted.decided_by
@@ -48,17 +49,16 @@ WITH judges (judges, entries) AS (
     (
         'a5_audit_completeness',
         'ExecutionFinished* ExecutionStarted ExecutionStarted.on_behalf_of RequestIssued RequestIssued.action_id
-        RequestAdmitted RequestAdmitted.action_id RequestAccepted RequestClosed ReassignmentDecided RobotJoined
-        RobotJoined.supervisor SupervisorLeft SupervisorReturned ExecutionStarted.requested_by
-        ExecutionStarted.executed_by ExecutionStarted.supervised_by ExecutionFinished.requested_by
-        ExecutionFinished.executed_by ExecutionFinished.supervised_by AssistanceAdmitted.requested_by
-        AssistanceAdmitted.executed_by AssistanceAdmitted.supervised_by'
+        RequestIssued.request_id RequestAdmitted RequestAdmitted.action_id RequestAccepted RequestClosed
+        ReassignmentDecided ReassignmentDecided.helper RobotJoined RobotJoined.supervisor SupervisorLeft
+        SupervisorReturned ExecutionStarted.requested_by ExecutionStarted.executed_by ExecutionStarted.supervised_by
+        ExecutionFinished.requested_by ExecutionFinished.executed_by ExecutionFinished.supervised_by
+        AssistanceAdmitted.requested_by AssistanceAdmitted.executed_by AssistanceAdmitted.supervised_by'
     )
 ),
 
 listed AS (
-    SELECT
-        judges, unnest(regexp_split_to_array(entries, '\s+')) AS entry
+    SELECT judges, unnest(regexp_split_to_array(entries, '\s+')) AS entry
     FROM judges
     UNION ALL
     SELECT judge AS judges, record AS entry

@@ -16,7 +16,10 @@ WITH askers AS (
 ),
 
 rights AS (
-    SELECT run_id, seq, type, requested_by, executed_by, capability, context
+    -- A grant also bears on a request of which the record does not say whether it is about it.
+    SELECT
+        run_id, seq, type, requested_by, executed_by, capability, context,
+        type = 'AuthorityGranted.v1' AS may_bear
     FROM authority_events
     WHERE type IN ('AuthorityGranted.v1', 'AuthorityRevoked.v1')
 )
@@ -30,7 +33,7 @@ FROM askers
 INNER JOIN rights
     ON
         askers.run_id = rights.run_id AND askers.seq > rights.seq AND askers.asker = rights.requested_by
-        AND coalesce(askers.executed_by = rights.executed_by, rights.executed_by IS NULL)
-        AND coalesce(askers.capability = rights.capability, rights.capability IS NULL)
-        AND coalesce(askers.context = rights.context, rights.context IS NULL)
+        AND coalesce(askers.executed_by = rights.executed_by, rights.executed_by IS NULL OR rights.may_bear)
+        AND coalesce(askers.capability = rights.capability, rights.capability IS NULL OR rights.may_bear)
+        AND coalesce(askers.context = rights.context, rights.context IS NULL OR rights.may_bear)
 GROUP BY ALL
