@@ -5,7 +5,8 @@
 --   number than its departures until then
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time; fence the number of the claim, 0 where it has none; departures until then
--- NULL: action_id where the record names none; fence of acts other than claims
+-- NULL: action_id where the record names none; fence of acts other than claims; no row in a run that does not record
+--   returns
 -- Example: fsar-ledger query facts/acts_of_departed LEDGER
 WITH acts AS (
     SELECT run_id, seq, time_us, 'RequestAccepted.v1' AS type, action_id, decided_by AS robot, NULL AS fence
@@ -32,12 +33,12 @@ WITH acts AS (
 ),
 
 changes AS (
-    SELECT run_id, robot, seq, 'departed' AS change FROM robot_departed
+    SELECT run_id, robot, since_seq AS seq, 'departed' AS change FROM departed_robots
     UNION ALL
     SELECT run_id, robot, seq, 'returned' AS change FROM robot_returned
     UNION ALL
     SELECT run_id, robot, seq, 'joined' AS change FROM robot_joined
-    WHERE (run_id, robot) IN (SELECT (run_id, robot) FROM robot_departed)
+    WHERE (run_id, robot) IN (SELECT (run_id, robot) FROM departed_robots)
 )
 
 SELECT

@@ -21,11 +21,9 @@ WITH members AS (
 ),
 
 known AS (
-    SELECT run_id, robot AS principal
-    FROM members
+    SELECT run_id, robot AS principal FROM members
     UNION
-    SELECT run_id, supervisor AS principal
-    FROM members
+    SELECT run_id, supervisor AS principal FROM members
     UNION
     SELECT
         run_id,
@@ -64,11 +62,12 @@ WHERE
     )
 UNION ALL
 SELECT
-    run_id, seq, time_us,
-    'RobotJoined.v1' AS type,
-    NULL AS action_id,
+    run_id, seq, time_us, 'RobotJoined.v1' AS type, NULL AS action_id,
     robot || ' joins although it is in the fleet' AS found
 FROM members
+-- Where a source does not record departures, it may have departed.
+SEMI JOIN run_started AS runs
+    ON members.run_id = runs.run_id AND list_has_any(list_cat(runs.observes, runs.records), ['fleet', 'RobotDeparted'])
 WHERE greatest(joined_before, returned_seq) > coalesce(departed_seq, -1)
 UNION ALL
 SELECT

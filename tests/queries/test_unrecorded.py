@@ -41,6 +41,20 @@ OF_I1, OF_I3 = "i1_local_agent_coherence", "i3_jointly_composed_policy"
 OF_A3, OF_A5 = "a3_no_silent_policy_override", "a5_audit_completeness"
 
 
+def test_a_robot_may_have_left_or_returned_where_that_is_not_recorded() -> None:
+    left = event("RobotDeparted", S, robot=DOER, reason="announced", fence=1)
+    back = event("RobotReturned", 2 * S, robot=DOER, fence=1)
+    anew = (joined(ASKER), joined(DOER), left, joined(DOER, 3 * S), STARTS)
+    returns = (joined(ASKER), joined(DOER), left, back, STARTS)
+    for history in (anew, returns):
+        assert accused(OF_I1, *history) == []
+        for lacks in ("RobotDeparted", "RobotReturned"):
+            assert accused(OF_I1, *history, lacks=lacks) == []
+    assert accused(OF_I1, joined(ASKER), joined(DOER), left, STARTS) == ["robot/B1 acts after it departed"]
+    twice = (joined(ASKER), joined(DOER), joined(DOER, S))
+    assert accused(OF_I1, *twice) == ["robot/B1 joins although it is in the fleet"]
+
+
 def test_a_refusal_may_have_been_lifted_or_be_anothers_where_the_record_does_not_say() -> None:
     denied = of_action("RequestDenied", 2 * S, reason="policy", decided_by="service/policy")
     admitted = of_action("RequestAdmitted", 3 * S, decided_by=DOER, outcome="allow")
