@@ -1,13 +1,13 @@
 -- Title: What a robot was doing at a time
 -- Paper: sec:model:robot
--- Grain: one row per run, robot and action in progress; a robot that had joined and had none has one row: `off`,
---   `departed` or `idle`
+-- Grain: one row per run, robot and action that it does or helps with; a robot that had joined and had none has one
+--   row: `off`, `departed` or `idle`
 -- Key: run_id, robot, action_id?
 -- Units: since_us microseconds of run time; at seconds, by default after the end of every run
 -- NULL: action_id, since_us, on_behalf_of when no action was in progress; on_behalf_of also when the robot helps
 --   another; doing also when nothing is on record and the run does not observe execution and recovery, or an action was
 --   in progress that began before the record, or it went off, or departed, and returns of such robots are not recorded.
---   Where a source does not record how executions end, only help is reported
+--   Executions are only reported where a source records how they end, and help where it records that of help
 -- Example: fsar-ledger query audit/robot_activity LEDGER --param run=RUN --param robot=robot/C1 --param at=20
 --   answers executing B1-1/2.1 for robot/B1 since 18.0 s
 -- Parameters: run: run = all, robot: robot = all, at: time = end
@@ -31,10 +31,11 @@ latest AS (
     INNER JOIN run_started AS runs ON events.run_id = runs.run_id
     WHERE
         $run IN ('all', events.run_id) AND events.time_us <= $at_us::BIGINT
-        -- Where the ends of executions are not recorded, no execution is reported.
-        AND (
-            list_contains(runs.observes, 'execution') OR starts_with(events.type, 'Assistance')
-            OR list_has_all(runs.records, ['ExecutionFinished', 'ExecutionWithdrawn'])
+        -- Where the ends of executions, or of help, are not recorded, neither is reported.
+        AND if(
+            starts_with(events.type, 'Assistance'),
+            list_contains(observes, 'recovery') OR list_has_all(records, ['AssistanceEnded', 'AssistanceFailed']),
+            list_contains(observes, 'execution') OR list_has_all(records, ['ExecutionFinished', 'ExecutionWithdrawn'])
         )
     -- A helper may have an action of its own in progress and help with another.
     GROUP BY events.run_id, coalesce(events.helper, events.robot), events.action_id, events.helper IS NOT NULL
@@ -50,8 +51,7 @@ members AS (
 ),
 
 gone AS (
-    SELECT run_id, robot
-    FROM event_principals
+    SELECT run_id, robot FROM event_principals
     WHERE type IN ('RobotJoined.v1', 'RobotDeparted.v1', 'RobotReturned.v1') AND time_us <= $at_us::BIGINT
     GROUP BY run_id, robot
     HAVING arg_max(type, seq) = 'RobotDeparted.v1'

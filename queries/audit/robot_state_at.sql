@@ -11,9 +11,11 @@ WITH past AS (
     SELECT events.* FROM event_principals AS events INNER JOIN run_started AS runs ON events.run_id = runs.run_id
     WHERE
         $run IN ('all', events.run_id) AND events.time_us <= $at_us::BIGINT
-        AND ( -- where the ends of executions are not recorded, no execution is reported
-            list_contains(runs.observes, 'execution') OR NOT starts_with(events.type, 'Execution')
-            OR list_has_all(runs.records, ['ExecutionFinished', 'ExecutionWithdrawn'])
+        AND if( -- nothing is reported whose ends are not recorded
+            starts_with(events.type, 'Assistance'),
+            list_contains(observes, 'recovery') OR list_has_all(records, ['AssistanceEnded', 'AssistanceFailed']),
+            NOT regexp_matches(events.type, '^(Execution|Approach)') OR list_contains(observes, 'execution')
+            OR list_has_all(records, ['ExecutionFinished', 'ExecutionWithdrawn'])
         )
 ),
 
@@ -63,10 +65,8 @@ members AS (
 SELECT
     members.run_id, members.robot,
     CASE
-        WHEN list_contains(members.amiss, 'off') THEN 'off'
-        WHEN list_contains(members.amiss, 'perhaps off') THEN NULL
-        WHEN held.is_failed THEN 'failed'
-        WHEN list_contains(members.amiss, 'degraded') THEN 'degraded'
+        WHEN list_contains(members.amiss, 'off') THEN 'off' WHEN list_contains(members.amiss, 'perhaps off') THEN NULL
+        WHEN held.is_failed THEN 'failed' WHEN list_contains(members.amiss, 'degraded') THEN 'degraded'
         WHEN held.robot IS NOT NULL THEN 'executing'
         WHEN list_contains(members.amiss, 'RobotDeparted.v1')
             THEN if(list_has_any(list_cat(runs.observes, runs.records), ['fleet', 'RobotReturned']), 'departed', NULL)

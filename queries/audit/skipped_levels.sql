@@ -1,6 +1,7 @@
 -- Title: Escalations that skipped a level of recovery, or went back to an earlier one
 -- Paper: eq:recovery, sec:model:invariants (I4)
--- Grain: one row per move of recovery that is not to the next outward level
+-- Grain: one row per move of recovery that is not to the next outward level; where a run does not record attempts and
+--   escalations, only per escalation that names such a move itself
 -- Key: run_id, action_id, failure, seq
 -- Units: time_us microseconds of run time
 -- NULL: from_level when recovery did not begin at the first level; decided_by when the record names no decider; reason
@@ -14,5 +15,12 @@ SELECT
     list_slice(['local', 'peer', 'fleet', 'human'], coalesce(from_rank, 0) + 1, rank - 1) AS skipped,
     coalesce(rank < from_rank, FALSE) AS is_backwards,
     reason
-FROM recovery_moves
+FROM recovery_moves AS moves
+SEMI JOIN run_started AS runs
+    ON
+        moves.run_id = runs.run_id
+        AND (
+            moves.type = 'RecoveryEscalated.v1' OR list_contains(runs.observes, 'recovery')
+            OR list_has_all(runs.records, ['RecoveryAttempted', 'RecoveryEscalated'])
+        )
 WHERE rank <> coalesce(from_rank, 0) + 1 AND $run IN ('all', run_id)

@@ -136,3 +136,28 @@ def test_a_hold_may_end_with_a_rule_for_a_role_where_nobody_knows_the_robots_rol
     assert found == []
     of_others = {**rule, "role": "other"}
     assert len(answer(f"invariants/{OF_A3}", run(joined(DOER), held, of_others, STARTS))) == 1
+
+
+def test_no_level_is_skipped_that_may_have_been_tried_unrecorded() -> None:
+    about = {"robot": DOER, "failed_action": "t1/1", "failure": 1}
+    failed = of_action("ExecutionFailed", S, **about)
+    asks = of_action("AssistanceRequested", 2 * S, **about, level="peer", helper=ASKER)
+    leaps = of_action("RecoveryEscalated", 2 * S, **about, level="local", to_level="human")
+    for lacks in ("RecoveryAttempted", "RecoveryEscalated"):
+        assert answer("audit/skipped_levels", recorded(failed, asks, lacks=lacks)) == []
+    (skipped,) = answer("audit/skipped_levels", recorded(failed, asks), columns=("skipped",))
+    assert skipped == (["local"],)
+    assert len(answer("audit/skipped_levels", recorded(failed, leaps, lacks="RecoveryAttempted"))) == 1
+
+
+def test_a_robot_does_nothing_of_which_no_end_is_recorded() -> None:
+    helps = of_action("AssistanceAdmitted", S, robot=ASKER, helper=DOER, failure=1, level="peer")
+    comes = of_action("ApproachStarted", S, robot=ASKER)
+    history = (joined(ASKER), joined(DOER), helps, comes)
+    activity = [answer("audit/robot_activity", recorded(*history, lacks=lacks), columns=("doing",)) for lacks in LACKS]
+    assert activity == [[("approaching",), ("helping",)], [("approaching",), (None,)], [(None,), ("helping",)]]
+    states = [answer("audit/robot_state_at", recorded(*history, lacks=lacks), columns=("state",)) for lacks in LACKS]
+    assert states == [[("executing",), ("executing",)], [("executing",), (None,)], [(None,), ("executing",)]]
+
+
+LACKS = ("nothing", "AssistanceEnded", "ExecutionFinished")
