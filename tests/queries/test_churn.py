@@ -98,3 +98,5 @@ def test_an_act_of_a_departed_robot_is_counted() -> None:
     acts = act("ExecutionStarted", 6 * S, "t1/2.1", robot=B, executed_by=B)
     assert answer("audit/churn", run(ARRIVED, DEPARTED, acts), columns=("found_out", "acts")) == [(1, 1)]
     assert answer("audit/churn", run(ARRIVED, DEPARTED, RETURNED, acts), columns=("acts",)) == [(0,)]
+    partly = run(ARRIVED, DEPARTED, RETURNED, kind="foreign", observes=["fleet", "execution"])
+    assert answer("audit/churn", partly, columns=("returned", "acts")) == [(1, None)]
