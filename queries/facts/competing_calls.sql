@@ -1,6 +1,6 @@
 -- Title: Calls to a supervisor to order two actions, and the answers, by competing action
 -- Paper: sec:prototype:workflows (Workflow 3), eq:supervision
--- Grain: one row per SupervisorCalled event that names a competing action, and per answer to it
+-- Grain: one row per SupervisorCalled event that names another action as competing, and per answer to it
 -- Key: run_id, seq, action_id
 -- Units: none
 -- NULL: never; action_id is the competing action; the event itself names the action for which the supervisor was called
@@ -8,7 +8,7 @@
 WITH calls AS (
     SELECT run_id, seq, action_id AS called_for, competing AS action_id
     FROM supervisor_called
-    WHERE competing IS NOT NULL
+    WHERE competing IS NOT NULL AND competing IS DISTINCT FROM action_id
 )
 
 SELECT run_id, seq, action_id

@@ -2,7 +2,7 @@
 -- Paper: sec:architecture:invariants (A3), eq:policy
 -- Grain: one row per start under a known deny or unapproved review, or after a refusal or hold that still stands; per
 --   admission milder than what the last request carried; and per stop against a mandate that was not escalated
--- Key: run_id, seq
+-- Key: run_id, seq, found
 -- Units: time_us microseconds of run time
 -- NULL: action_id for a motion
 -- Example: fsar-ledger query invariants/a3_no_silent_policy_override LEDGER

@@ -2,7 +2,10 @@
 
 from typing import Any
 
+from fsar_ledger.metrics.library import library
 from tests.queries.histories import Row, S, act, answer, event, run
+from tests.queries.keys import broken_keys
+from tests.recycled import from_rows
 
 ROBOT = "robot/A1"
 
@@ -38,3 +41,20 @@ def test_of_claims_made_at_one_moment_the_second_begins_the_conflict() -> None:
     ]
     found = answer("facts/conflicting_claims", run(*claims), columns=("began_us", "seq", "claim_seqs"))
     assert found == [(S, 2, [1, 2, 3])]
+
+
+def test_an_action_that_competes_with_itself_is_told_once() -> None:
+    called = act("SupervisorCalled", S, "t1/1", supervisor="supervisor/fleet", purpose="ordering", competing="t1/1")
+    assert len(answer("audit/request_timeline", run(act("StepBegan", 0, "t1/1", robot=ROBOT), called))) == 1
+
+
+def test_a_start_that_breaks_a3_in_two_ways_has_two_rows_that_its_key_tells_apart() -> None:
+    acts = [
+        act("RequestDenied", S, "t1/1", executed_by=ROBOT, reason="policy"),
+        act("ExecutionHeld", S, "t1/1", robot=ROBOT, outcome="deny", reason="local-policy"),
+        act("ExecutionStarted", S, "t1/1", robot=ROBOT, on_behalf_of=ROBOT),
+    ]
+    name = "invariants/a3_no_silent_policy_override"
+    with from_rows(run(*acts)) as database:
+        assert database.query(name).num_rows == 2
+        assert broken_keys(database, iter([library().find(name)])) == []
