@@ -15,18 +15,19 @@ WITH judges (judges, entries) AS (
     ),
     (
         'i3_jointly_composed_policy a3_no_silent_policy_override',
-        'ExecutionStarted* PolicyWindowOpened* RequestDenied* RequestDenied.executed_by FleetRuleLearned*
-        RequestDenied>RequestAdmitted RequestDenied>RequestAdmitted.action_id RequestDenied>SupervisorResponded
-        RequestIssued.carried_policy>RequestIssued.action_id PolicyWindowOpened>PolicyWindowClosed
+        'ExecutionStarted* PolicyWindowOpened* PolicyRuleSet* RolePolicyRuleSet* RobotJoined* FleetRuleLearned*
+        RequestDenied* RequestDenied.action_id* RequestDenied.executed_by RequestIssued* RequestIssued.carried_policy*
+        RequestIssued.action_id RequestRelayed* RequestRelayed>RequestIssued RequestDenied>RequestAdmitted
+        RequestDenied>RequestAdmitted.action_id RequestDenied>SupervisorResponded PolicyWindowOpened>PolicyWindowClosed
         ExecutionHeld>SupervisorResponded ExecutionHeld>PolicyWindowClosed ExecutionHeld>FleetRuleLearned
         ExecutionHeld>PolicyRuleSet ExecutionHeld>RolePolicyRuleSet'
     ),
     ('a3_no_silent_policy_override', 'PolicyRuleSet>PolicyConflictEscalated RequestAdmitted>SupervisorResponded'),
     (
         'i4_outward_recovery',
-        'FailureResolved* ExecutionFailed RecoveryAttempted RecoveryEscalated AssistanceRequested AssistanceAdmitted
-        AssistanceEnded ReassignmentDecided ReassignmentDecided.helper SupervisorResponded
-        RecoveryBudgetSet>RecoveryEscalated.reason'
+        'FailureResolved* ExecutionFailed RecoveryAttempted RecoveryAttemptFailed* RecoveryEscalated
+        AssistanceRequested AssistanceAdmitted AssistanceEnded ReassignmentDecided ReassignmentDecided.helper
+        SupervisorCalled* SupervisorResponded RecoveryBudgetSet>RecoveryEscalated.reason'
     ),
     (
         'i5_audit_attributability audit_attributability',
@@ -61,8 +62,7 @@ listed AS (
     SELECT judges, unnest(regexp_split_to_array(entries, '\s+')) AS entry
     FROM judges
     UNION ALL
-    SELECT judge AS judges, record AS entry
-    FROM metric_records
+    SELECT judge AS judges, record AS entry FROM metric_records
     UNION ALL
     -- The principals of a record are judged wherever its type is recorded.
     SELECT

@@ -64,12 +64,14 @@ SELECT
     starts.run_id, starts.seq, starts.time_us, starts.type, starts.action_id, starts.robot,
     CASE
         WHEN bool_or(outcomes.outcome = 'deny') THEN 'deny'
-        WHEN any_value(list_has_all(runs.observes, ['policy', 'request', 'knowledge']))
+        WHEN any_value(list_has_all(runs.observes, ['policy', 'request', 'knowledge']) OR hidden.run_id IS NULL)
             THEN if(coalesce(bool_or(outcomes.outcome = 'review'), FALSE), 'review', 'allow')
     END AS outcome,
     if(starts.denied_seq > greatest(starts.approved_seq, starts.admitted_seq), starts.denied_seq, NULL) AS denied_seq
 FROM starts
 INNER JOIN runs ON starts.run_id = runs.run_id
+-- A run that records the types and fields of A3 observes these policies.
+LEFT JOIN unobservable AS hidden ON starts.run_id = hidden.run_id AND hidden.judge = 'a3_no_silent_policy_override'
 -- A supervisor approves the reviews known by then, or by the admission that follows; a denial still stands.
 LEFT JOIN outcomes
     ON

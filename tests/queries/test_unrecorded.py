@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import pytest
+
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.rows.schema import RECORDS
 from tests.queries.histories import Row, S, act, answer, event, run
@@ -39,6 +41,12 @@ def of_action(name: str, at: int, **columns: Any) -> Row:
 STARTS = of_action("ExecutionStarted", 9 * S, robot=DOER, on_behalf_of=ASKER, capability="lift")
 OF_I1, OF_I3 = "i1_local_agent_coherence", "i3_jointly_composed_policy"
 OF_A3, OF_A5 = "a3_no_silent_policy_override", "a5_audit_completeness"
+OF_I4 = "i4_outward_recovery"
+POLICIES = (
+    *("PolicyWindowOpened", "PolicyRuleSet", "RolePolicyRuleSet", "RobotJoined", "FleetRuleLearned", "RequestRelayed"),
+    *("RequestDenied.action_id", "RequestIssued", "RequestIssued.carried_policy"),
+)
+"""Records of policy without which an outcome that is known may be another."""
 
 
 def test_a_robot_may_have_left_or_returned_where_that_is_not_recorded() -> None:
@@ -95,14 +103,13 @@ def test_a_takeover_and_its_reasons_are_not_judged_where_the_record_lacks_them()
     taken = of_action("ReassignmentDecided", 2 * S, **about, helper="robot/C1")
     resolved = of_action("FailureResolved", 3 * S, **about, level="fleet")
     history = (failed, *moves, taken, resolved)
-    of_i4 = "i4_outward_recovery"
-    assert accused(of_i4, *history) == accused(of_i4, *history, lacks="ReassignmentDecided.helper") == []
+    assert accused(OF_I4, *history) == accused(OF_I4, *history, lacks="ReassignmentDecided.helper") == []
     nobody = (failed, *moves, {**taken, "helper": None}, resolved)
-    assert accused(of_i4, *nobody) == ["failure 1: resolved at level fleet, where nothing was done"]
+    assert accused(OF_I4, *nobody) == ["failure 1: resolved at level fleet, where nothing was done"]
     budget = event("RecoveryBudgetSet", 0, robot=DOER, level="peer", t_max_us=S, n_max=1)
     late = {**moves[1], "time_us": 5 * S, "reason": "budget exhausted"}
-    assert accused(of_i4, budget, failed, moves[0], late) == []
-    assert accused(of_i4, budget, failed, moves[0], late, lacks="RecoveryEscalated.reason") == []
+    assert accused(OF_I4, budget, failed, moves[0], late) == []
+    assert accused(OF_I4, budget, failed, moves[0], late, lacks="RecoveryEscalated.reason") == []
 
 
 def test_a_request_may_have_been_sent_again_where_requests_have_no_names_on_record() -> None:
@@ -158,6 +165,30 @@ def test_a_robot_does_nothing_of_which_no_end_is_recorded() -> None:
     assert activity == [[("approaching",), ("helping",)], [("approaching",), (None,)], [(None,), ("helping",)]]
     states = [answer("audit/robot_state_at", recorded(*history, lacks=lacks), columns=("state",)) for lacks in LACKS]
     assert states == [[("executing",), ("executing",)], [("executing",), (None,)], [(None,), ("executing",)]]
+
+
+REVIEWED = event("PolicyWindowOpened", S, robot=DOER, scope="local", window="w", outcome="review")
+
+
+def test_a_source_that_records_every_type_is_judged_by_reviews_as_one_that_observes_every_concern() -> None:
+    found = ["starts under a known review that no supervisor had approved"]
+    assert accused(OF_A3, joined(DOER), REVIEWED, STARTS) == found
+    assert answer(f"invariants/{OF_A3}", run(joined(DOER), REVIEWED, STARTS), columns=("found",)) == [(found[0],)]
+
+
+@pytest.mark.parametrize(
+    ("judge", "lacks"),
+    [
+        *((name, record) for name in (OF_I3, OF_A3) for record in POLICIES),
+        *((OF_I4, record) for record in ("RecoveryAttemptFailed", "SupervisorCalled")),
+    ],
+)
+def test_nothing_holds_where_a_source_does_not_record_what_could_break_it(judge: str, lacks: str) -> None:
+    with from_rows(recorded(STARTS)) as database:
+        assert database.rows(f"SELECT * FROM unobservable WHERE judge = '{judge}'") == []
+    with from_rows(recorded(STARTS, lacks=lacks)) as database:
+        (hidden,) = database.rows(f"SELECT not_observed FROM unobservable WHERE judge = '{judge}'")
+    assert lacks in hidden["not_observed"].split(", ")
 
 
 LACKS = ("nothing", "AssistanceEnded", "ExecutionFinished")

@@ -77,8 +77,8 @@ def orders() -> Log:
 CONTEXT = (
     *("AssistanceAdmitted", "AssistanceEnded", "AssistanceRequested", "ExecutionFailed", "FailureResolved"),
     *("FleetRuleLearned", "PolicyRuleSet", "PolicyConflictEscalated", "ReassignmentDecided", "RecoveryAttempted"),
-    *("RecoveryEscalated", "RequestDenied", "RolePolicyRuleSet", "SupervisorLeft", "SupervisorResponded"),
-    "SupervisorReturned",
+    *("RecoveryAttemptFailed", "RecoveryEscalated", "RequestDenied", "RequestRelayed", "RolePolicyRuleSet"),
+    *("SupervisorCalled", "SupervisorLeft", "SupervisorResponded", "SupervisorReturned"),
 )
 """Types that the log of a run declares although nothing of the kind happened."""
 
@@ -95,6 +95,7 @@ def honest_events() -> list[Log]:
     a, b = "robot/A", "robot/B"
     own = {"task": "T1", "action": "T1/1", **parties(a, a)}
     asked = {"task": "T1", "action": "T1/2", **parties(a, b)}
+    named = {"request": "r", "carried_policy": "allow"}
     told: list[tuple[str, Log]] = [
         ("RobotJoined", {"robot": a, "supervisor": "supervisor/A", "role": "carrier"}),
         ("RobotJoined", {"robot": b, "supervisor": "supervisor/B", "role": "door"}),
@@ -103,7 +104,7 @@ def honest_events() -> list[Log]:
         ("OwnStepDecided", {**own, "decider": a, "path": a, "capability": "go"}),
         ("ExecutionStarted", {**own, "robot": a, "on_behalf_of": a, "capability": "go"}),
         ("ExecutionFinished", {**own, "robot": a, **ENDED}),
-        ("RequestIssued", {**asked, "decider": a, "path": a, "capability": "open"}),
+        ("RequestIssued", {**asked, **named, "decider": a, "path": a, "capability": "open"}),
         ("RequestAdmitted", {**asked, "decider": b, "path": b, "outcome": "allow"}),
         ("RequestAccepted", {**asked, "decider": b, "path": b}),
         ("ExecutionStarted", {**asked, "robot": b, "on_behalf_of": a, "capability": "open"}),
