@@ -176,6 +176,16 @@ def test_a_source_that_records_every_type_is_judged_by_reviews_as_one_that_obser
     assert answer(f"invariants/{OF_A3}", run(joined(DOER), REVIEWED, STARTS), columns=("found",)) == [(found[0],)]
 
 
+def test_no_number_of_violations_is_given_where_reviews_are_not_counted() -> None:
+    """Whether a start was approved is known of the concern supervision, not of its types (facts/governed_starts)."""
+    columns = ("numerator", "not_observed")
+    for name in ("policy_violations", "missed_reviews"):
+        whole = run(joined(DOER), REVIEWED, STARTS, kind="foreign")
+        assert answer(f"metrics/{name}", whole, columns=columns) == [(1, None)]
+        ((number, lacks),) = answer(f"metrics/{name}", recorded(joined(DOER), REVIEWED, STARTS), columns=columns)
+        assert (number, lacks) == (None, "execution, fleet, policy, supervision")
+
+
 @pytest.mark.parametrize(
     ("judge", "lacks"),
     [
