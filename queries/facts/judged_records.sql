@@ -7,7 +7,7 @@
 -- Example: fsar-ledger query facts/judged_records LEDGER
 WITH judges (judges, entries) AS (
     VALUES
-    ('i1_local_agent_coherence', 'RobotJoined'),
+    ('i1_local_agent_coherence', 'RobotJoined RobotDeparted>RobotReturned*'),
     (
         'i2_local_execution_ownership',
         'ExecutionStarted* RequestAccepted RequestAccepted.decided_by RequestAccepted.executed_by
@@ -23,6 +23,7 @@ WITH judges (judges, entries) AS (
         ExecutionHeld>PolicyRuleSet ExecutionHeld>RolePolicyRuleSet'
     ),
     ('a3_no_silent_policy_override', 'PolicyRuleSet>PolicyConflictEscalated RequestAdmitted>SupervisorResponded'),
+    ('a3_no_silent_policy_override', 'ExecutionHeld*'),
     (
         'i4_outward_recovery',
         'FailureResolved* ExecutionFailed RecoveryAttempted RecoveryAttemptFailed* RecoveryEscalated
@@ -63,8 +64,7 @@ listed AS (
     FROM judges
     UNION ALL
     SELECT judge AS judges, record AS entry FROM metric_records
-    UNION ALL
-    -- The principals of a record are judged wherever its type is recorded.
+    UNION ALL -- the principals of a record are judged wherever its type is recorded
     SELECT
         'i5_audit_attributability audit_attributability' AS judges,
         split_part(type, '.', 1) || '.' || unnest(['requested_by', 'executed_by', 'supervised_by']) AS entry

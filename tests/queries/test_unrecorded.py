@@ -191,6 +191,8 @@ def test_no_number_of_violations_is_given_where_reviews_are_not_counted() -> Non
     [
         *((name, record) for name in (OF_I3, OF_A3) for record in POLICIES),
         *((OF_I4, record) for record in ("RecoveryAttemptFailed", "SupervisorCalled")),
+        (OF_A3, "ExecutionHeld"),
+        (OF_I1, "RobotReturned"),
     ],
 )
 def test_nothing_holds_where_a_source_does_not_record_what_could_break_it(judge: str, lacks: str) -> None:

@@ -75,7 +75,8 @@ def orders() -> Log:
 
 
 CONTEXT = (
-    *("AssistanceAdmitted", "AssistanceEnded", "AssistanceRequested", "ExecutionFailed", "FailureResolved"),
+    *("AssistanceAdmitted", "AssistanceEnded", "AssistanceRequested", "ExecutionFailed", "ExecutionHeld"),
+    "FailureResolved",
     *("FleetRuleLearned", "PolicyRuleSet", "PolicyConflictEscalated", "ReassignmentDecided", "RecoveryAttempted"),
     *("RecoveryAttemptFailed", "RecoveryEscalated", "RequestDenied", "RequestRelayed", "RolePolicyRuleSet"),
     *("SupervisorCalled", "SupervisorLeft", "SupervisorResponded", "SupervisorReturned"),
