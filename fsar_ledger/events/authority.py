@@ -10,7 +10,7 @@ RevocationReason = Literal["trust downgrade", "context expired", "human override
 class AuthorityClaimed(Event, frozen=True, kw_only=True):
     """`claimant` holds this dimension of authority over the action from now on. Paper: eq:auth.
 
-    `fence` is the number that a robot which has returned to the fleet was given; None: it has never departed.
+    `fence` is the fencing number that a returned robot was given; None: it has never departed.
     """
 
     subject: Subject[TaskId | None, ActionId]
@@ -21,7 +21,7 @@ class AuthorityClaimed(Event, frozen=True, kw_only=True):
 
 
 class AuthorityReleased(Event, frozen=True):
-    """The claim of `claimant` to this dimension of authority over the action, made for this `reason`, holds no more."""
+    """The claim of `claimant` to this dimension of authority over the action, made for this `reason`, has ended."""
 
     subject: Subject[TaskId | None, ActionId]
     dimension: Dimension
@@ -32,7 +32,7 @@ class AuthorityReleased(Event, frozen=True):
 class AuthorityGranted(Event, frozen=True, kw_only=True):
     """`requested_by` may make requests up to this override level, by its role or by a supervisor's decision.
 
-    An executor, capability or context of None is any. A grant lifts a revocation. Paper: eq:auth, eq:override.
+    None as executor, capability or context means any. A grant lifts a revocation. Paper: eq:auth, eq:override.
     """
 
     requested_by: Robot
@@ -44,7 +44,7 @@ class AuthorityGranted(Event, frozen=True, kw_only=True):
 
 
 class AuthorityRevoked(Event, frozen=True, kw_only=True):
-    """`requested_by` may no longer make such requests, from the next request boundary on.
+    """`requested_by` may no longer make these requests, from the next request boundary on.
 
     An execution under way continues. Paper: sec:model:authority.
     """

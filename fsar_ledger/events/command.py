@@ -4,11 +4,11 @@ from .envelope import Event, Principal
 
 
 class CommandGiven(Event, frozen=True, kw_only=True):
-    """A command came to the run; what it leads to is caused by this event. A live run is its commands.
+    """A command was given to the run; what follows from it is caused by this event.
 
-    A simulated run has those of its scenario. `issued_by` is who gave it, as the door knows them; `key` the name by
-    which they tell whether it is the same one again; `parameters` its fields, as JSON. Units: `source_time_us` run time
-    at which they say that they gave it.
+    A live run is determined by its commands; a simulated run has those of its scenario. `issued_by` is the identified
+    sender; `key` is the sender's name for the command, the same when it is sent again; `parameters` are its fields, as
+    JSON. Units: `source_time_us` run time at which it was given, according to the sender.
 
     Paper: sec:architecture:overview.
     """
@@ -23,8 +23,9 @@ class CommandGiven(Event, frozen=True, kw_only=True):
 class CommandRejected(Event, frozen=True, kw_only=True):
     """The command named something unknown, finished or impossible; nothing else happened.
 
-    `subject` is what the command was about; `reason` says what was found and what was expected. `issued_by` is in whose
-    name it was: a robot's for its work, whoever gave it (the `CommandGiven` that is the cause says who).
+    `subject` is what the command was about; `reason` says what was found and what was expected. `issued_by` is the
+    principal in whose name it was given, such as the robot that works; the `CommandGiven` that caused this event names
+    the sender.
 
     Paper: sec:architecture:overview.
     """

@@ -26,15 +26,15 @@ ARCHITECTURES: tuple[Architecture, ...] = (
 
 MECHANISMS_OF: dict[Architecture, dict[str, str]] = {
     "fsar": {
-        "trust-evaluation": "trust in the requester is evaluated (else anybody is served)",
+        "trust-evaluation": "trust in the requester is evaluated (else anyone is served)",
         "policy-composition": "requester's policy and fleet rule composed (else the executor's alone)",
         "layered-recovery": "layered recovery (else the supervisor at once)",
         "shared-registry": "a registry shows who can do what (else only peers that the robot has met)",
-        "trust-by-record": "trust follows the record of results (else it stays as founded)",
+        "trust-by-record": "trust follows the record of results (else it stays as at the founding)",
         "engine-closing": "the coordination engine closes requests (else the requester does)",
         "boundary-revocation": "revocation waits for the request boundary (else no claim)",
         "start-recheck": "policy is checked again when delegated work starts (else it starts as admitted)",
-        "fleet-recheck": "the fleet's rule is heeded when delegated work starts (else the robot's own policy alone)",
+        "fleet-recheck": "the fleet's rule is applied when delegated work starts (else the robot's own policy alone)",
         "own-work-check": "policy is checked when own steps and motions start (else nothing checks them)",
     },
     "cfc": {
@@ -54,7 +54,7 @@ MECHANISMS_OF: dict[Architecture, dict[str, str]] = {
         "hop-latency": "agents of a robot hear each other after a delay (else at once)",
         "handoff-records": "an executor's agents record how they pass delegated work on (else they do not)",
         "agent-decisions": "decisions pass through agents (else the robot is on record as the decider)",
-        "nested-queries": "nested queries carry requests past visibility (else they come to nothing)",
+        "nested-queries": "nested queries carry requests past visibility (else they fail)",
     },
 }
 """Every mechanism that can be removed from each architecture: what it does, and what replaces it.

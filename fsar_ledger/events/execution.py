@@ -58,7 +58,7 @@ class ApproachStarted(Event, frozen=True):
 
 
 class ExecutionHeld(Event, frozen=True):
-    """The robot is ready but waits, because policy as it knows it does not allow the start.
+    """The robot is ready but waits, because the policy known to it does not allow the start.
 
     `decided_by` names the decider when the wait is a denial, else it is None.
     """
@@ -73,7 +73,7 @@ class ExecutionHeld(Event, frozen=True):
 class ExecutionStarted(Event, frozen=True, kw_only=True):
     """The robot has begun to execute. Units: `ends_us` microseconds of run time, the planned end.
 
-    `on_behalf_of` and `ends_us` are None where the record of another system does not know them.
+    `on_behalf_of` and `ends_us` are None where the record of another system lacks them.
     """
 
     subject: Subject[TaskId, ActionId]
@@ -85,7 +85,7 @@ class ExecutionStarted(Event, frozen=True, kw_only=True):
 
 
 class ExecutionPaused(Event, frozen=True):
-    """The robot paused: in the model to replan, in a record of another system for a reason that it need not say.
+    """The robot paused: to replan in the model, for any reason in another system's record.
 
     Units: `remaining_us` microseconds of execution left.
     """
@@ -136,7 +136,7 @@ class ExecutionResumed(Event, frozen=True):
 class ExecutionFailed(Event, frozen=True, kw_only=True):
     """An attempt has failed and the failure has just been detected; `failure` counts from 1 within the action.
 
-    `cause` is open text: `obstruction` or `degradation` in runs of our own, whatever the source says in others.
+    `cause` is open text: `obstruction` or `degradation` in our own runs, what the source says in others.
 
     Units: `remaining_us` microseconds of execution left; `detected_us` run time.
     """
@@ -165,8 +165,8 @@ class ExecutionFinished(Event, frozen=True):
 class ExecutionWithdrawn(Event, frozen=True):
     """The action no longer occupies this robot.
 
-    Its contract is void, it was reassigned, its robot has left it, or its task was given up before it began. With the
-    number of a `failure`, the robot gave it up because of that failure, which nobody recovers.
+    Its contract is void, it was reassigned, its robot has left it, or its task was given up before it began. With a
+    `failure` number, the robot gave it up because of that failure, from which nobody recovers.
     """
 
     subject: Subject[TaskId, ActionId]
@@ -184,7 +184,7 @@ class RoutinePerformed(Event, frozen=True):
 
 
 class RoutineWithheld(Event, frozen=True):
-    """The robot withheld a routine motion, because policy as it is known does not allow it."""
+    """The robot withheld a routine motion, because the policy known at that time does not allow it."""
 
     principals: Principals
     robot: Robot
@@ -192,7 +192,7 @@ class RoutineWithheld(Event, frozen=True):
 
 
 class RoutineReported(Event, frozen=True):
-    """A second agent has recorded a motion that took two agents of the robot.
+    """A second agent of the robot has recorded a motion that needed two agents.
 
     Paper: sec:evaluation:baselines (DHMA).
     """

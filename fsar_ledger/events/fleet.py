@@ -13,14 +13,14 @@ class RunStarted(Event, frozen=True, kw_only=True, tag="RunStarted.v2"):
 
     A run is simulated, live (commands from outside, decided by our handlers) or foreign (recorded by another system,
     named by `source`). `observes` names the concerns, some of `CONCERNS`, of which its source records everything.
-    `records` names what else it records: event types (`ExecutionStarted`), with what every event of the type has, and
-    further fields (`ExecutionStarted.requested_by`). Events of any other type are not in the run, and their absence
-    means nothing. `epoch` is the time in UTC (ISO 8601) of run time 0, None where there is none. Architecture,
-    configuration and scenario (or workflow) are open text, checked before a run is simulated; None: the run has none.
+    `records` names what else it records: event types (`ExecutionStarted`) with their required fields, and optional
+    fields (`ExecutionStarted.requested_by`). Events of any other type are not in the run, and their absence means
+    nothing. `epoch` is the time in UTC (ISO 8601) of run time 0, None if the run has none. Architecture, configuration
+    and scenario (or workflow) are open text, checked before a run is simulated; None: the run has none.
     `parameters` is JSON, an object of groups of constants; a group that the run does not have is left out.
 
     A fork repeats the run `forked_from_run` of a ledger with the root `forked_from_root` (hex) up to the event
-    `forked_from_seq`, and says in `changes` what is otherwise (`runtime/changes.py`). Its other fields are its own.
+    `forked_from_seq`, and lists in `changes` what differs (`runtime/changes.py`). Its other fields are its own.
     """
 
     kind: Literal["simulated", "live", "foreign"]
@@ -44,12 +44,12 @@ class RunStarted(Event, frozen=True, kw_only=True, tag="RunStarted.v2"):
 
 
 class RunContinued(Event, frozen=True, kw_only=True):
-    """The run goes on where another one ended: event 1 of it, after an event 0 that is like that of the other.
+    """The run continues where another one ended: its event 1, after an event 0 equal to that of the other run.
 
     `continues` is the other run, `continues_seq` the number of its last event, and `continues_root` the root (hex) of
-    the ledger that had it then. `state_sha256` is the digest of all that was known and pending, from which this run
-    goes on (`runtime/snapshot.py`), and `state_shape` names the shape in which it was kept: in another one the digest
-    of the same may be another. Times count on. What was pending and comes about here is caused by this event.
+    the ledger that held it then. `state_sha256` is the digest of the state from which this run continues, all that was
+    known and pending (`runtime/snapshot.py`); `state_shape` names the format of that state, since the same state has
+    another digest in another format. Times continue. What was pending and happens here is caused by this event.
     """
 
     continues: str
@@ -63,9 +63,9 @@ class RobotJoined(Event, frozen=True, kw_only=True):
     """A robot has joined the fleet, under its own supervisor H_i if it has one. Paper: eq:fleet, eq:runtime.
 
     `domain` is the path of the registry in which the robot advertises (`hall/cell`); empty is the fleet's own. `place`
-    is where it works (`floor/2`): only robots at one place meet or get in each other's way; None: the fleet has one
-    place. `team` is None where its record has no teams. `public_key` is the key by which who knows the robot
-    recognises it; the fleet compares it and checks no signature.
+    is where it works (`floor/2`): only robots in the same place meet or get in each other's way; None: the fleet has
+    one place. `team` is None where the record has no teams. `public_key` identifies the robot to those who know it; the
+    fleet compares it and checks no signature.
     """
 
     robot: Robot
@@ -78,29 +78,29 @@ class RobotJoined(Event, frozen=True, kw_only=True):
 
 
 class HeartbeatReceived(Event, frozen=True):
-    """The registry has heard that the robot is there; `number` counts its heartbeats from 1."""
+    """The registry has received a heartbeat of the robot; `number` counts its heartbeats from 1."""
 
     robot: Robot
     number: int
 
 
 class RobotSuspected(Event, frozen=True):
-    """No heartbeat of the robot has come in for so long that it may have left. Nothing is taken from it yet."""
+    """The registry has received no heartbeat for so long that the robot may have left. It loses nothing yet."""
 
     robot: Robot
 
 
 class RobotCleared(Event, frozen=True):
-    """A heartbeat of the suspected robot has come in: it is a member as before."""
+    """The registry has received a heartbeat of the suspected robot, which remains a member."""
 
     robot: Robot
 
 
 class RobotDeparted(Event, frozen=True, kw_only=True):
-    """The robot is no member from now on: it announced that it leaves, or was silent for too long after a suspicion.
+    """The robot is no longer a member: it announced that it leaves, or was silent for too long after a suspicion.
 
-    What it held and what was asked of it ends with this event, and its name stays its own. `fence` counts its
-    departures: what it says or claims under a smaller number does not count any more, rightly declared or not.
+    Its claims and the requests to it end with this event, and its name stays its own. `fence` counts its departures:
+    reports and claims under a smaller number are no longer valid, even if it had not really left.
 
     Paper: sec:discussion:heterogeneity.
     """
@@ -112,9 +112,9 @@ class RobotDeparted(Event, frozen=True, kw_only=True):
 
 
 class RobotReturned(Event, frozen=True, kw_only=True):
-    """The robot is a member again, under the name, the role and the key with which it joined, and with its trust.
+    """The robot is a member again, with the name, role and key with which it joined, and with its trust.
 
-    From now on it names `fence` in what it reports.
+    From now on its reports carry `fence`.
     """
 
     robot: Robot
@@ -123,12 +123,12 @@ class RobotReturned(Event, frozen=True, kw_only=True):
 
 
 class IsolationBegan(Event, frozen=True, kw_only=True):
-    """Without the federation, the robot goes on with its own work alone: the first event after a founding at time 0.
+    """The robot, cut off from its fleet, continues its own work alone: the first event after a founding at time 0.
 
-    The founding states again, as the fleet's run `fleet_run` had it until its event `fleet_seq`, in a ledger of the
-    root `fleet_root` (hex), what the robot is, has and may do, and its own tasks that wait for it. The fleet's run may
-    go on beside this one. Times are those of the fleet's run. `fence` is the number under which the robot reports,
-    None where it has never departed.
+    The founding repeats what the robot is, has and may do, and its own waiting tasks, as of event `fleet_seq` of the
+    fleet's run `fleet_run` in a ledger with the root `fleet_root` (hex). The fleet's run may continue meanwhile. Times
+    are those of the fleet's run. `fence` is the fencing number that the robot's reports carry, None if it has never
+    departed.
     """
 
     robot: Robot
@@ -139,10 +139,10 @@ class IsolationBegan(Event, frozen=True, kw_only=True):
 
 
 class IsolationEnded(Event, frozen=True, kw_only=True):
-    """The robot has handed over what it did by itself, in a run of its own, to the fleet.
+    """The robot has handed over to the fleet the work that it did in isolation, in a run of its own.
 
     `isolated_run` is that run, `isolated_seq` the number of its last event, and `isolated_root` the root (hex) of its
-    ledger. Units: `since_us` run time at which it began, as the robot says.
+    ledger. Units: `since_us` run time at which it began, according to the robot.
     """
 
     robot: Robot
@@ -153,9 +153,9 @@ class IsolationEnded(Event, frozen=True, kw_only=True):
 
 
 class IsolatedResultAccepted(Event, frozen=True, kw_only=True):
-    """What the robot did by itself counts in the fleet: a success completes the step, a failure leaves it to be done.
+    """The fleet accepts a result from isolation: a success completes the step, a failure leaves it to be done.
 
-    `isolated_run` is where it did so.
+    `isolated_run` is the run in which the robot did the work.
     """
 
     subject: Subject[TaskId, ActionId]
@@ -165,7 +165,7 @@ class IsolatedResultAccepted(Event, frozen=True, kw_only=True):
 
 
 class IsolatedResultOvertaken(Event, frozen=True, kw_only=True):
-    """What the robot did by itself does not count in the fleet, which has gone on otherwise meanwhile."""
+    """The fleet does not accept a result from isolation, because it has meanwhile proceeded in another way."""
 
     subject: Subject[TaskId, ActionId]
     robot: Robot
@@ -194,11 +194,11 @@ class ExperimentPlanned(Event, frozen=True, kw_only=True):
 
 
 class ShardRecorded(Event, frozen=True, kw_only=True):
-    """The head of a shard was recorded: of another ledger, named by the `origin` under which it publishes its heads.
+    """The head of a shard was recorded: another ledger, named by the `origin` under which it publishes its heads.
 
-    A ledger of such heads is the log of a federation. Each is the only event of a run of its own; the newest head of an
-    origin holds. It counts `shard_events` events under the root `shard_root`, in hex. `folder` is where the shard was,
-    as a path from the folder of the log.
+    A ledger of heads is the log of a federation. Each is the only event of a run of its own; the newest head of an
+    origin is the valid one. It counts `shard_events` events under the root `shard_root`, in hex. `folder` is where the
+    shard was, as a path from the folder of the log.
     """
 
     origin: str

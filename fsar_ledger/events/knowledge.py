@@ -91,9 +91,9 @@ class MotivationBegan(Event, frozen=True):
 
 
 class ActivityBroadcast(Event, frozen=True):
-    """The robot tells the others that it is active on the action, as it has been since `since_us` (run time).
+    """The robot tells the others that it has been active on the action since `since_us` (run time).
 
-    The first one of a `since_us` is its activation.
+    The first broadcast with a `since_us` is its activation.
     """
 
     subject: Subject[TaskId, ActionId]
@@ -117,7 +117,7 @@ class ActivityHeard(Event, frozen=True, kw_only=True):
 
 
 class NeedEnded(Event, frozen=True, kw_only=True):
-    """The robot knows that the action is not wanted any more, because `peer` has done it (itself, perhaps).
+    """The robot knows that the action is no longer wanted, because `peer` (perhaps the robot itself) has done it.
 
     Units: `took_us` microseconds from when the robot first heard that the peer was active, None if it never did.
     """

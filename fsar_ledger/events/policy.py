@@ -8,7 +8,7 @@ class PolicyRuleSet(Event, frozen=True, kw_only=True):
 
     Paper: app:foundations.
 
-    A robot of None is every robot. The rule applies to one `capability`, in one `context` (task), or (None) to all of
+    None as robot means every robot. The rule applies to one `capability`, in one `context` (task), or (None) to all of
     them; the strictest applicable rule holds. It replaces the rule with the same scope, robot, capability and context,
     and that of the robot's role (`RolePolicyRuleSet`). A fleet rule of `allow` is a mandate: it conflicts with the
     robot's own policy where that denies.

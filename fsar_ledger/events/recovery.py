@@ -59,7 +59,7 @@ class RecoveryAttemptFailed(Event, frozen=True, kw_only=True):
 
 
 class AttemptRolledBack(Event, frozen=True, kw_only=True):
-    """What a partial attempt had achieved has been undone, so that the next attempt begins where the first did.
+    """The effects of a partial attempt have been undone, so that the next attempt begins where the first did.
 
     Paper: fig:recovery (level 1: retry, rollback, replan).
     """

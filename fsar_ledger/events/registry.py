@@ -43,7 +43,7 @@ class CapabilityAdvertised(Event, frozen=True, kw_only=True):
     The seven fields are `version`; the contract; `trust_required`, the narrowest scope that suffices;
     `policy_required`, the contexts in which it may be requested (empty: any); `override_allowed`, the highest override
     level that a request may carry (the authority profile); `availability`; `embodiment`, the body that it needs or is.
-    `visibility` says who may discover it: everyone, the robot's own domain and those below it, or whoever the robot
+    `visibility` says who may discover it: everyone, the robot's own domain and those below it, or the robots that it
     trusts; `visible_to` narrows that to roles (empty: all).
     """
 
@@ -76,7 +76,7 @@ class CapabilityWithdrawn(Event, frozen=True):
 class AvailabilityChanged(Event, frozen=True, kw_only=True):
     """The registry has learned a new availability, of one capability or (None) of all that the robot advertises.
 
-    The robot reported it; but with the reason `no answer` the robot did not answer someone, and is listed as offline.
+    The robot reported it, except with the reason `no answer`: then it did not answer someone and is listed as offline.
 
     Paper: sec:architecture:registry.
     """
@@ -107,7 +107,7 @@ class RegistryCached(Event, frozen=True):
 
 
 class RegistryConsulted(Event, frozen=True, kw_only=True):
-    """Someone has consulted the registry outside any request; nothing between two robots follows from it.
+    """Someone has consulted the registry outside any request; no exchange between robots follows from it.
 
     Paper: sec:architecture:registry.
 

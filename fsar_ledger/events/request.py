@@ -31,8 +31,8 @@ class RequestIssued(Event, frozen=True, kw_only=True):
     """A request was sent. `carried_policy` is the requester's own policy at this moment, if the request carries it.
 
     `override` is the level it asks for; `parent` the request on whose behalf it is made (a chain); `directives` what it
-    would dictate to the executor (`plan`, `policy`, `recovery`), which no request may; `version` the version that was
-    advertised when it was formulated, if it depends on that. Paper: eq:request, phase 3; eq:override; eq:nontransitive.
+    tries to dictate to the executor (`plan`, `policy`, `recovery`), which no request may do; `version` the version
+    advertised when it was written, if it depends on that. Paper: eq:request, phase 3; eq:override; eq:nontransitive.
     """
 
     subject: RequestSubject[TaskId | None, ActionId | None, RequestId | None]
@@ -81,9 +81,9 @@ class CandidateMatched(Event, frozen=True):
 
 
 class BidSubmitted(Event, frozen=True):
-    """A bid has left a robot: a proposal, or (`deny`) a refusal. Paper: sec:evaluation:baselines (DHMA).
+    """A robot has sent a bid: a proposal, or (`deny`) a refusal. Paper: sec:evaluation:baselines (DHMA).
 
-    `ahead` is the number of actions that come first at the robot, if the proposal says so.
+    `ahead` is the number of actions that the robot will do first, if the proposal says so.
     """
 
     task_id: TaskId

@@ -13,9 +13,9 @@ class SourceOpened(Event, frozen=True, kw_only=True):
     """A source of records was opened.
 
     `format` is the format and its version (`vda5050/3.0.0`), `adapter` the reader and its version; the hashes (SHA-256,
-    hex) are of the input and of the mapping that was used, if there is one. With the `clock` of the source, events have
-    the time that the source gives; with that of `arrival`, the time at which the record arrived, and the source's own
-    time stands beside it. A source that `is_sampled` tells states from time to time, and what lies between is unknown.
+    hex) are of the input and of the mapping that was used, if there is one. With the `clock` `source`, events have the
+    time that the source gives; with `arrival`, the time at which the record arrived, and the source's own time is kept
+    beside it. A source that `is_sampled` reports states from time to time; what happens in between is unknown.
     """
 
     source: str
@@ -30,11 +30,11 @@ class SourceOpened(Event, frozen=True, kw_only=True):
 class Observed(Event, frozen=True, kw_only=True):
     """One record of a source, as it was read.
 
-    `kind` is what the source calls it (`actionStatus/RUNNING`). `names` and `texts` are aligned: what it says;
-    `objects` and `qualifiers` are aligned, too: what it is about, as OCEL 2.0 has it. `record_sha256` is of the raw
-    record, `record_number` its place in the input from 1; `body` is the raw record, kept only if asked.
+    `kind` is what the source calls it (`actionStatus/RUNNING`). `names` and `texts`, which are aligned, are its
+    content; `objects` and `qualifiers`, also aligned, are what it is about, as in OCEL 2.0. `record_sha256` is the hash
+    of the raw record, `record_number` its position in the input from 1; `body` is the raw record, kept only on request.
 
-    Units: `source_time_us` microseconds of run time on the source's clock, which may be wrong; None: it gives no time.
+    Units: `source_time_us` microseconds of run time on the source's clock, which may be wrong; None if it gives none.
     """
 
     source: str

@@ -35,7 +35,7 @@ class SupervisorResponded(Event, frozen=True):
 
 
 class SupervisionDensitySet(Event, frozen=True, kw_only=True):
-    """Every n-th admission by the robot (None: by every robot) is put before a supervisor from now on; 0 is none.
+    """From now on every n-th admission by the robot (None: by every robot) goes to a supervisor; 0 means none.
 
     Paper: sec:model:supervision.
     """

@@ -25,7 +25,7 @@ class RoleTrustSet(Event, frozen=True, kw_only=True):
 
     That includes robots that join later. Both must be in the `domain` or below it; empty is the whole fleet.
     `capability`, `context` and `decided_by` are as in `TrustSet`. An entry for the pair itself takes precedence over
-    every entry for their roles, and one of a smaller domain over that of a larger one.
+    every entry for their roles, and an entry for a smaller domain over one for a larger domain.
 
     Paper: eq:trust.
     """
@@ -43,7 +43,7 @@ class RoleTrustSet(Event, frozen=True, kw_only=True):
 class InitialTrustSet(Event, frozen=True, kw_only=True):
     """A robot that joined the running fleet trusts every other robot with this scope, or is trusted by it.
 
-    `is_trusting` tells which. It holds where no entry for the pair or their roles does, also for robots that join
+    `is_trusting` says which. It applies where no entry for the pair or their roles does, also to robots that join
     later. Paper: sec:discussion:heterogeneity.
     """
 
@@ -56,7 +56,7 @@ class InitialTrustSet(Event, frozen=True, kw_only=True):
 class TrustThresholdsSet(Event, frozen=True):
     """From now on trust follows the record: this many successes promote it, this many failures downgrade it.
 
-    Successes must be consecutive; 0 is never. Paper: sec:model:trust.
+    Successes must be consecutive; 0 means never. Paper: sec:model:trust.
     """
 
     promote_after: int

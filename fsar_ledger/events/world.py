@@ -89,7 +89,7 @@ class RobotCameBack(Event, frozen=True):
 
 
 class RobotCalledAway(Event, frozen=True):
-    """The robot is called away, and will be off soon: until then it can say that it leaves."""
+    """The robot is called away and will be off soon; until then it can announce that it leaves."""
 
     robot: Robot
 
@@ -136,8 +136,8 @@ class TaskArrived(Event, frozen=True, kw_only=True):
     """A task has arrived. `steps` are `ACTOR capability` (own) or `ACTOR capability TARGET` (delegated).
 
     Actors and targets are roles of `team`. Another robot can resume before each step whose number is in `checkpoints`
-    (None: before every step); a time-critical task competes for robots. A record of another system may know neither the
-    robot, nor a team, steps or a budget.
+    (None: before every step); a time-critical task competes for robots. Another system's record may lack the robot, the
+    team, the steps and the budget.
 
     Units: `budget_us` microseconds from arrival; `due_us` run time at which the budget ends.
     """
