@@ -65,8 +65,8 @@ def folder_for_spilling() -> Iterator[str]:
 def exceeded_message() -> str:
     """Return the message for when the limit is exceeded."""
     return (
-        f"memory: this needs more than {(_limit or 0) >> 20:,} MiB, its limit; "
-        "if the ledger is what you think it is, raise the limit with --memory MIB"
+        f"memory: this needs more than {(_limit or 0) >> 20:,} MiB, the limit; "
+        "if you trust this ledger, raise the limit with --memory MIB"
     )
 
 

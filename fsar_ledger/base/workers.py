@@ -336,8 +336,8 @@ def _death_message(process: int | None, found: str) -> str:
 
 _EXPECTED = (
     "expected it to finish its work; something outside the command ended it, perhaps the system for lack of memory; "
-    "what is committed stays, and nothing is said about what was not checked: run the same command again, with fewer "
-    "--workers if memory is short"
+    "what is committed is kept, and there is no verdict on what was not checked: run the same command again, with "
+    "fewer --workers if memory is short"
 )
 
 

@@ -169,7 +169,7 @@ app = typer.Typer(
     cls=Verbs,
     help=(
         "Simulate robot fleets under several governance architectures, keep every event in an append-only ledger, and "
-        "judge it by SQL."
+        "judge it in SQL."
     ),
     epilog="\b\nStart here:\n  fsar-ledger reproduce              run the paper's experiments and report\n"
     "  fsar-ledger simulate out/ledger    only simulate\n"

@@ -29,13 +29,13 @@ if TYPE_CHECKING:
 
 LEDGER = argument("LEDGER", "The folder of a ledger.")
 TAKEN: Mapping[str, Option] = {
-    "svg": Option("--svg", "FILE", "Also draw it, as SVG; replaced if it exists."),
-    "pdf": Option("--pdf", "FILE", "Also draw it, as PDF; replaced if it exists."),
+    "svg": Option("--svg", "FILE", "Also draw it as SVG; replaced if it exists."),
+    "pdf": Option("--pdf", "FILE", "Also draw it as PDF; replaced if it exists."),
     "verified": Option(
         "--verified",
         None,
         "Compare all rows with the root before answering, as `verify` does. Unless `verify` has already checked "
-        "this head, that takes some 4 s for a million events on two cores.",
+        "this head, that takes about 4 s per million events on two cores.",
     ),
     "cluster": Option(
         "--cluster",
@@ -44,10 +44,10 @@ TAKEN: Mapping[str, Option] = {
     ),
     "json": Option("--json", None, "Answer as JSON, with the head (size, root) of the ledger."),
     "csv": Option("--csv", None, "Answer as comma-separated values."),
-    "ndjson": Option("--ndjson", None, "Answer as JSON, one row a line and nothing else."),
+    "ndjson": Option("--ndjson", None, "Answer as JSON, one row per line and nothing else."),
     "raw": RAW,
     "limit": Option("--limit", "N", "Show at most N rows of the table; 0 shows all.", value=100),
-    "wide": Option("--wide", None, "Show every column and whole cells, not what fits the terminal; as when piped."),
+    "wide": Option("--wide", None, "Show all columns and whole cells, whatever the width, as when piped."),
     "memory": Option(
         "--memory",
         "MIB",

@@ -187,19 +187,19 @@ def warn(ledger: Path, provenance: "Provenance") -> None:
     if (line := unobserved_line(provenance.not_observed)) is not None:
         say(line)
     if provenance.plans is not None and (missing := provenance.plans.warning()) is not None:
-        say(f"{ledger}: {missing}; `fsar-ledger info {printable.word(ledger)}` says how to go on")
+        say(f"{ledger}: {missing}; `fsar-ledger info {printable.word(ledger)}` says how to continue")
     if provenance.open_work is not None:
         say(f"{provenance.open_work.warning()} (`fsar-ledger query open_work {printable.word(ledger)}`)")
     if provenance.actions_under_way:
         under_way = printable.counted(provenance.actions_under_way, "action")
         say(
-            f"{under_way} under way when the record began: what asked for and allowed it is not judged "
+            f"{under_way} under way when the record began: requests and permissions before that are not judged "
             f"(`fsar-ledger query actions_under_way {printable.word(ledger)}`)"
         )
     if not provenance.rows_verified:
         say(
-            f"the rows of {ledger} were not compared with its root; `fsar-ledger verify {printable.word(ledger)}` does "
-            "that, as does --verified"
+            f"the rows of {ledger} were not compared with its root; `fsar-ledger verify {printable.word(ledger)}` "
+            "compares them, as does --verified"
         )
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 AROUND = 200
 """Events that are listed before and after the current one."""
-ASKS = {"next-of": "robot, as B1", "go": "time or event, as 46.6s or 289", "find": "text"}
+ASKS = {"next-of": "robot, such as B1", "go": "time or event, such as 46.6s or 289", "find": "text"}
 """The moves that need an argument, and the prompt for it."""
 
 
@@ -38,10 +38,10 @@ class Stepper(App[None]):
     ENABLE_COMMAND_PALETTE = False
     AUTO_FOCUS = None  # else the field takes the letters
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("right,down,n", "move('next')", "next", priority=True),  # else the screen scrolls
-        Binding("left,up,p", "move('previous')", "before", priority=True),
+        Binding("right,down,n", "move('next')", "next", priority=True),  # else it scrolls
+        Binding("left,up,p", "move('previous')", "back", priority=True),
         Binding("d", "move('next-decision')", "decision"),
-        Binding("D", "move('previous-decision')", "decision before", show=False),
+        Binding("D", "move('previous-decision')", "previous decision", show=False),
         Binding("r", "move('next-refusal')", "refusal"),
         Binding("c", "move('cause')", "cause"),
         Binding("b", "ask('next-of')", "robot"),

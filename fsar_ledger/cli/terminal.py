@@ -77,7 +77,7 @@ def say_failure(trace: str) -> None:
 
 def _write(stream: TextIO | None, text: str) -> None:
     if stream is None:
-        raise WriteFailed("the output has nowhere to go: it was closed; write it to a file or a pipe")
+        raise WriteFailed("stdout is closed; write the output to a file or a pipe")
     width = _width_of(stream)
     if width is not None:
         text = "\n".join(folded(line, width) for line in text.split("\n"))

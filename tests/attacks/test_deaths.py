@@ -127,7 +127,7 @@ def test_a_simulation_whose_worker_is_killed_says_so_and_continues_when_it_is_ca
     ledger = tmp_path / "ledger"
     code, out, err = ended_with_a_killed_worker("simulate", ledger, *SOME)
     assert (code, out, len(err.splitlines())) == (1, "", 1), err
-    for part in ("fsar-ledger: worker process ", "signal 9", "what is committed stays", "run the same command again"):
+    for part in ("fsar-ledger: worker process ", "signal 9", "what is committed is kept", "run the same command again"):
         assert part in err
     assert command("simulate", ledger, *SOME).code == 0
     assert (ledger / "checkpoint").read_bytes() == (whole / "checkpoint").read_bytes()
@@ -142,7 +142,7 @@ def test_a_verification_that_could_not_finish_calls_a_ledger_neither_good_nor_ba
     code, out, err = ended_with_a_killed_worker(*verb.split(), ledger, "--workers", "2")
     assert (code, out, len(err.splitlines())) == (1, "", 1), err
     assert err.startswith("fsar-ledger: worker process ")
-    assert "nothing is said about what was not checked" in err
+    assert "no verdict on what was not checked" in err
     assert not any(word in err for word in ("consistent", "damaged", "do not rely"))
 
 

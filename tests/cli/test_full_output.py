@@ -55,7 +55,7 @@ def test_a_message_that_does_not_fit_changes_no_exit_code(ledger: Path) -> None:
 def test_an_answer_without_any_output_to_go_to_is_one_message(ledger: Path, call: str) -> None:
     done = with_closed(ledger, call, 1)
     assert done.returncode == 1
-    assert done.stderr == "fsar-ledger: the output has nowhere to go: it was closed; write it to a file or a pipe\n"
+    assert done.stderr == "fsar-ledger: stdout is closed; write the output to a file or a pipe\n"
 
 
 @pytest.mark.parametrize(

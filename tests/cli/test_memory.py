@@ -19,7 +19,7 @@ from tests.running import ran
 
 from .conftest import Call, one_message
 
-LITTLE = "memory: this needs more than 256 MiB, its limit"
+LITTLE = "memory: this needs more than 256 MiB, the limit"
 HUNGRY = """
 import sys
 import tempfile

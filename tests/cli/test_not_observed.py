@@ -161,7 +161,7 @@ def test_audit_says_how_many_actions_were_under_way_when_the_record_began(call: 
     [row] = json.loads(said.out)["rows"]
     assert (row["holds"], row["cases"], row["events"]) == (None, 0, 0)
     assert json.loads(said.out)["actions_under_way"] == 1
-    assert "1 action under way when the record began: what asked for and allowed it is not judged" in said.err
+    assert "1 action under way when the record began: requests and permissions before that are not judged" in said.err
 
 
 ENDS = ("ExecutionFinished", "ExecutionWithdrawn")
