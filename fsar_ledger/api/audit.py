@@ -68,7 +68,7 @@ class Audit(Answer, msgspec.Struct, frozen=True):
         if self.runs_unreadable:
             runs = printable.counted(self.runs_unreadable, "run")
             yield printable.line(
-                f"{runs} with parameters that cannot be read: their recovery budgets are unknown, and none is judged"
+                f"{runs} with unreadable parameters: their recovery budgets are unknown and are not judged"
             )
 
 
@@ -86,8 +86,8 @@ def audit(
 ) -> Audit:
     """Check the invariants I1 to I5 and A1 to A5.
 
-    For each invariant, architecture and configuration: how many events offend it, and the first of them. Exit code 0 if
-    all hold on all runs, else 1.
+    Shows, for each invariant, architecture and configuration, how many events violate it and the first of them. Exit
+    code 0 if all hold on all runs, else 1.
 
     Raises:
         LedgerCorrupted, SequenceConflict: As `connect_view`.
@@ -148,7 +148,7 @@ def _on_a_terminal(rows: "Sequence[AuditRow]", screen: Screen) -> Iterator[print
     yield screen.table(verdicts)
     if first:
         command = f"`fsar-ledger prove {printable.word(screen.path)} RUN:SEQ`"
-        yield printable.lines("", f"the first offending events, as {command} takes them", "")
+        yield printable.lines("", f"the first offending events, for {command}", "")
         yield screen.table(first)
 
 
@@ -168,17 +168,17 @@ def _footer(rows: "Sequence[AuditRow]", ledger: Path) -> Iterator[str]:
     groups: dict[str, list[AuditRow]] = {}
     for row in rows:
         name = [row.architecture, row.configuration] if len(configurations) > 1 else [row.architecture]
-        groups.setdefault(" ".join(filter(None, name)) or "runs of no architecture", []).append(row)
+        groups.setdefault(" ".join(filter(None, name)) or "runs without an architecture", []).append(row)
     for label, group in groups.items():
         yield from (f"{label}: {line}" if len(groups) > 1 else line for line in _verdict(group))
     if any(row.invariant.startswith("i5") and row.runs_not_observed for row in rows):
         folder = printable.word(ledger)
-        yield f"`fsar-ledger query attributability_by_field {folder}` tells requester, executor and supervisor apart"
-        yield f"`fsar-ledger query record_gaps {folder}` tells what the record would need for each invariant"
+        yield f"`fsar-ledger query attributability_by_field {folder}` shows requester, executor and supervisor apart"
+        yield f"`fsar-ledger query record_gaps {folder}` lists what the record would need for each invariant"
     if broken := [row.invariant for row in rows if row.holds is False]:
         yield (
-            f"`fsar-ledger query {broken[0]} {printable.word(ledger)}` lists every offending event of the first that "
-            "does not hold"
+            f"`fsar-ledger query {broken[0]} {printable.word(ledger)}` lists all offending events of the first broken "
+            "invariant"
         )
 
 
@@ -194,11 +194,11 @@ def _verdict(rows: "Sequence[AuditRow]") -> Iterator[str]:
     )
     if unseen:
         yield (
-            f"{len(unseen)} cannot be told, because runs do not observe what they rest on: {_short(unseen)}; that "
-            "is no pass"
+            f"{len(unseen)} cannot be judged, because runs do not observe what they need: {_short(unseen)}; that is "
+            "not a pass"
         )
     if empty:
-        yield f"nothing to judge was on record for {_short(empty)}; that is no pass"
+        yield f"the record has nothing to judge for {_short(empty)}; that is not a pass"
 
 
 def _short(names: Sequence[str]) -> str:

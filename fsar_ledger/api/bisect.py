@@ -77,11 +77,11 @@ class BisectResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
             f"outcome: {self.outcome}",
             f"first: {self.first}",
             f"second: {self.second}",
-            f"{counted(self.pairs, 'pair')}: {self.both:,} have it on both sides, {self.neither:,} on neither, "
-            f"{self.first_only:,} on the first alone, {self.second_only:,} on the second alone",
+            f"{counted(self.pairs, 'pair')}: {self.both:,} have the outcome on both sides, {self.neither:,} on "
+            f"neither, {self.first_only:,} only on the first, {self.second_only:,} only on the second",
         ]
         if self.undefined:
-            head.append(f"in {counted(self.undefined, 'pair')} more, a run has no value to compare")
+            head.append(f"in {counted(self.undefined, 'more pair')}, a run has no value to compare")
         if self.repeated:
             head.append(f"left out: {counted(self.repeated, 'pair')} that {LEFT_OUT['repeated']}")
         alone = (self.first_alone, "first"), (self.second_alone, "second")
@@ -136,7 +136,7 @@ def bisect(
             raise UsageError("bisect: found changes and two sides, expected one or the other")
         return _changes(ledger, changes, names_of(architecture) or (), outcome)
     if architecture is not None:
-        raise UsageError("bisect: found an architecture without changes; sides name theirs")
+        raise UsageError("bisect: found an architecture without changes, expected it in the names of the sides")
     return _sides(ledgers_of(ledger, other), (first, second), outcome)
 
 
@@ -179,16 +179,16 @@ def _unpaired(both: "tuple[Side, Side]", repeated: int) -> UsageError:
     """Return an error that says why no run of one side is the counterpart of one of the other."""
     if repeated:
         return UsageError(
-            f"{both[0]} and {both[1]}: found {counted(repeated, 'pair')}, expected one that can be told from others: "
-            "everywhere one side has several runs of one seed, scenario and number; `fsar-ledger diff` takes any two"
+            f"{both[0]} and {both[1]}: found {counted(repeated, 'pair')} in which one side has several runs of one "
+            "seed, scenario and number, expected one run on each side; `fsar-ledger diff` compares any two runs"
         )
     instead = (
-        "simulate one as the other"
+        "simulate both sides alike"
         if both[0].named_count and both[1].named_count
-        else "runs of a real fleet have none; `fsar-ledger diff` takes any two"
+        else "runs of a real fleet have none; `fsar-ledger diff` compares any two runs"
     )
     return UsageError(
-        f"{both[0]} and {both[1]}: found no run of both with the same seed, scenario and number; {instead}"
+        f"{both[0]} and {both[1]}: found no runs of both sides with the same seed, scenario and number; {instead}"
     )
 
 

@@ -75,7 +75,7 @@ class CauseResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
             head.append(
                 f"{len(self.elements):,} of {self.candidates:,} facts and answers "
                 + ("suffices; without it" if len(self.elements) == 1 else "suffice together; without any one of them")
-                + " there is no such outcome"
+                + " the outcome does not occur"
             )
             tail.append(
                 f"{_names_are(item for item in self.elements if item.is_necessary)} necessary in the whole run, too"
@@ -88,18 +88,18 @@ class CauseResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
         elif self.unknown:
             head.append(
                 f"none of {self.candidates:,} facts and answers is known to be a cause: without any one of these, "
-                "something is asked that nobody on record answers"
+                "the run asks something that the record does not answer"
             )
         else:
             head += [_closing(self)] if self.chances else []
             head.append(
-                f"none of {self.candidates:,} facts and answers is a cause: the outcome stands with these alone, "
-                "without any one of which there is no value to compare"
+                f"none of {self.candidates:,} facts and answers is a cause: the outcome occurs with only these, and "
+                "without any one of them there is no value to compare"
             )
         if self.unknown:
             if self.elements:
                 named = _listed(self.unknown)
-                tail.append(f"without any one of {named}, something is asked that nobody on record answers")
+                tail.append(f"without any one of {named}, the run asks something that the record does not answer")
             tail.append("`--answers model:7` lets the model answer")
         if self.also_necessary:
             tail.append(f"also necessary there: {_listed(self.also_necessary)}")
@@ -139,20 +139,20 @@ def cause(
     ],
     *,
     lengths: bool = switch("Also test whether the durations of messages, approaches and work mattered."),
-    futures: int | None = declare("N", "Futures to draw from each moment; 0: no curve.", "50, of a live run none"),
+    futures: int | None = declare("N", "Futures to draw from each moment; 0: no curve.", "50; for a live run none"),
     answers: AnswersOption = None,
-    progress: Annotated[Progress | None, Shows("played", "runs")] = None,
+    progress: Annotated[Progress | None, Shows("simulated", "runs")] = None,
 ) -> CauseResult:
     """Find the smallest cause of an outcome of a run, and when it could no longer be avoided.
 
-    A cause is a set of facts of the world, and of answers to what the run asked of it, that suffices for the outcome;
+    A cause is a set of facts of the world, and of answers to the run's questions, that suffices for the outcome;
     without any one of them the outcome does not occur. It is found by forking the run, so it is a cause and not only a
-    correlation; other sets may suffice, too. A fact without which the outcome has no value is no cause of it: without a
-    task nothing fails. Then the curve: from moments of the run on, the share of futures, drawn anew, that avoid the
-    outcome, up to the event after which none does.
+    correlation; other sets may also suffice. A fact without which the outcome has no value is not a cause: without a
+    task nothing fails. The curve then shows, from moments of the run on, the share of newly drawn futures that avoid
+    the outcome, up to the event after which none does.
 
-    Of a live run, commands are removed. Where it then asks what nobody on record answers, the outcome is unknown,
-    unless the model of --answers answers. There is no curve.
+    For a live run, commands are removed. If the run then asks something that the record does not answer, the outcome
+    is unknown, unless --answers lets the model answer. There is no curve.
 
     Raises:
         UsageError: The run does not have the outcome, or it cannot be made again.
@@ -175,8 +175,7 @@ def cause(
     is_live = base.base.recipe.live is not None
     if is_live and futures:
         raise UsageError(
-            f"{option('futures', futures)}: found a live run, expected 0: nobody draws the futures of robots that are "
-            "really there"
+            f"{option('futures', futures)}: found a live run, expected 0: the futures of real robots cannot be drawn"
         )
     if answers is not None:
         if not is_live:
@@ -217,7 +216,7 @@ def _curve(result: CauseResult) -> Iterator[str]:
     drawn = max(chance.futures + chance.undefined for chance in result.chances)
     left_out = any(chance.undefined for chance in result.chances)
     without = "; those in which it has no value are left out" if left_out else ""
-    yield f"futures that avoid it, of {drawn:,} drawn from each moment on{without}"
+    yield f"futures that avoid the outcome, of {drawn:,} drawn from each moment{without}"
     closed = [chance for chance in result.chances if result.last_open_s is None or chance.at_s > result.last_open_s]
     for chance in result.chances:
         if chance not in closed[1:-1]:
@@ -230,7 +229,7 @@ def _closing(result: CauseResult) -> str:
     if result.closing_seq is None:
         return "some futures avoid it to the end"
     if result.last_open_s is None:
-        return "no future avoids it, from the beginning on"
+        return "no future avoids it, even from the beginning"
     return (
         f"point of no return: event {result.closing_seq}, at {result.closing_s:.3f} s; before it, at "
         f"{result.last_open_s:.3f} s, some futures still avoid it"

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 LEFT_OUT = {
     "facts": "did not meet the same facts of the world, although made under the same constants",
-    "repeated": "cannot be told from others: one side has several runs of one seed, scenario and number",
-    "unobserved": "are not known to have met the same world, which one of them does not observe",
+    "repeated": "cannot be told apart: one side has several runs of one seed, scenario and number",
+    "unobserved": "are not known to have met the same world, because one of them does not observe it",
 }
 FAULTS = ("facts", "repeated")
 """Differences that no experiment makes on purpose, as in `statistics`."""
@@ -112,9 +112,9 @@ def compare(
 
     Runs are paired by seed, scenario and number. For each metric: both means, first minus second with its 95 %
     interval, the number of pairs that differ at all, p of the paired t-test, or of the exact sign test where few
-    differ, Holm over these tests, and d_z. The t-test has as many degrees of freedom as pairs differ, less one;
-    `statistics` counts every pair, so that its p differs. Containment and latency are ratios over all pairs. The answer
-    also says how many pairs met the same facts of the world, how many only the same draws, and which constants differ.
+    differ, Holm over these tests, and d_z. The degrees of freedom of the t-test are the differing pairs minus one;
+    `statistics` counts all pairs, so its p differs. Containment and latency are ratios over all pairs. The answer also
+    says how many pairs met the same facts of the world, how many only the same draws, and which constants differ.
 
     Raises:
         UsageError: A side does not exist, or both are the same events.
@@ -132,7 +132,7 @@ def compare(
         if len(databases) > 1 and both[0].side == both[1].side and databases[0].head == databases[1].head:
             raise UsageError(
                 f"{' and '.join(paths)}: found the same events in both, and {both[0]} as both sides, expected two "
-                "that differ"
+                "different ones"
             )
         comparison = paired(databases, both, pools_seeds=pooled, by_scenario=per_scenario)
         provenances = tuple(map(of_outcomes, databases))
@@ -144,14 +144,14 @@ def _pairing(both: tuple[Side, Side], result: Paired) -> list[str]:
     first, second = both
     lines = [f"first: {_described(first)}", f"second: {_described(second)}"]
     if not result.pairs:
-        left = " that is not left out" if result.left_out else ""
+        other = "other " if result.left_out else ""
         lines.append(
-            f"nothing to compare: no run of both has the same seed, scenario and number{left}; "
+            f"nothing to compare: no {other}runs of both sides have the same seed, scenario and number; "
             + (
-                "simulate one as the other"
+                "simulate both sides alike"
                 if first.named_count and second.named_count
-                else "runs of a real fleet have none, and are in no pair: `fsar-ledger metrics` shows what each side "
-                "came to, `fsar-ledger query metrics_by_period` each day"
+                else "runs of a real fleet have none and form no pairs: `fsar-ledger metrics` shows each side, "
+                "`fsar-ledger query metrics_by_period` each day"
             )
         )
         lines += [f"found {side.coverage_text()}" for side in both]
@@ -159,8 +159,8 @@ def _pairing(both: tuple[Side, Side], result: Paired) -> list[str]:
         lines.append(f"{counted(result.pairs, 'pair')} by seed, scenario and number: {_shared(both, result)}")
         if first.fleet_size != second.fleet_size:
             lines.append(
-                f"the fleets differ in size ({first.fleet_size} and {second.fleet_size} robots): the robots that both "
-                "have meet what is drawn for them"
+                f"the fleets differ in size ({first.fleet_size} and {second.fleet_size} robots): robots that are in "
+                "both meet the same draws"
             )
     lines += [f"left out: {_left_out(group)}" for group in result.left_out]
     differing = [f"{constant.name}={constant.first_value} and {constant.second_value}" for constant in result.constants]
@@ -221,7 +221,7 @@ def _missing(both: tuple[Side, Side], result: Paired) -> list[str]:
             )
     if result.pairs and result.absent:
         lines.append(
-            f"no pair of runs in which both have a value of {', '.join(result.absent)}: undefined, or not observed"
+            f"no pair of runs has a value of {', '.join(result.absent)} on both sides: undefined, or not observed"
         )
     return lines
 
@@ -245,8 +245,8 @@ def _how_to_read(result: Paired) -> list[str]:
     lines = ["differences are first minus second; containment and latency are ratios over all pairs" + _holm(result)]
     if fewer := [row for row in result.rows if row.test == "paired t" and row.differing_pairs < row.n]:
         lines.append(
-            "paired t has as many degrees of freedom as pairs differ, less one; `statistics` counts every pair, so "
-            f"that its p differs: {_cells(fewer, result)}"
+            "paired t: the degrees of freedom are the differing pairs minus one; `statistics` counts all pairs, so "
+            f"its p differs: {_cells(fewer, result)}"
         )
     if any(row.metric == "human_intervention" for row in result.rows):
         lines.append("human_intervention is the share of runs that called the fleet supervisor")
@@ -257,7 +257,7 @@ def _how_to_read(result: Paired) -> list[str]:
     if even:
         lines.append(f"neither side is higher in any pair, so there is no test: {_cells(even, result)}")
     if few:
-        lines.append(f"exact sign test, since few pairs differ, or all alike: {_cells(few, result)}")
+        lines.append(f"exact sign test, because few pairs differ or all by the same amount: {_cells(few, result)}")
     return lines
 
 
@@ -272,7 +272,7 @@ def _holm(result: Paired) -> str:
     if len(counts) > 1:
         parts.append(f"{counts[0]} to {counts[-1]} tests of a seed together")
     if any(row.metric not in published for row in tested):
-        parts.append("each metric that the paper does not print by itself")
+        parts.append("separately each metric that the paper does not print")
     return f"; Holm adjusts {' and '.join(parts)}" if parts else ""
 
 

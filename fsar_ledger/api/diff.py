@@ -119,7 +119,7 @@ class Diff(Answer, msgspec.Struct, frozen=True, kw_only=True):
     "diff out/ledger 1 2",
     "diff out/ledger 1 4 --all",
     "diff out/ledger 1 1 --other out/large --verified --json",
-    beside={"lists": Option("--all", None, "Also list every difference, one a line.")},
+    beside={"lists": Option("--all", None, "Also list every difference, one per line.")},
 )
 def diff(
     ledger: "Ledger",
@@ -129,8 +129,8 @@ def diff(
 ) -> Diff:
     """Show how two runs differ: where they diverge and why, and how each ended.
 
-    Events are aligned by cause and content, so that one more event does not make all that follow differ. A run is the
-    same, or an event happens in one only, or changed, or has another cause, or moved in time. Where they diverge, both
+    Events are aligned by cause and content, so that one more event does not make all later ones differ. An event is the
+    same in both runs, happens in one only, changed, has another cause, or moved in time. Where the runs diverge, both
     events are shown with what caused them, back to a fact of the world.
 
     Raises:
@@ -349,7 +349,7 @@ def _verdicts(outcomes: "OutcomesDiff", names: tuple[str, str]) -> SafeText:
         f"{'only ' if row.is_judged_in_both else ''}{sides[row.run]}: {row.verdict} at {row.time_s:.3f} s, "
         + printable.value(row.what)
         + ("" if row.seq is None else f" (event {row.seq})")
-        + ("" if row.is_judged_in_both else f"; {others[row.run]} does not observe what would tell")
+        + ("" if row.is_judged_in_both else f"; {others[row.run]} does not observe what it rests on")
         for row in outcomes.verdicts
     ]
     return printable.lines("", *lines) if lines else printable.lines()

@@ -126,14 +126,14 @@ def _explain_or_list(ledger: "Ledger", run: Run | None, request: str | None, fai
 
     def hint(screen: Screen, first: Mapping[str, Any]) -> str:
         call = f"explain {printable.word(screen.path)} --run {screen.run_word(name)} --request"
-        return f"`fsar-ledger {call} {printable.word(first['action_id'])}` tells one of them"
+        return f"`fsar-ledger {call} {printable.word(first['action_id'])}` shows one of them"
 
     return Listing(
         run=name,
         found=rows,
         time="began_s",
         nothing="requests",
-        unseen="not all that a request leaves was observed",
+        unseen="not everything that a request leaves on record was observed",
         hint=hint,
         undrawn="found no request to draw; give --request ACTION or --failure ACTION",
         columns=lambda is_fitted: sorted(COLUMNS, key=LATER.__contains__) if is_fitted else COLUMNS,

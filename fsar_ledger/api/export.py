@@ -59,11 +59,11 @@ def export(
         Option(
             "--out",
             "FILE",
-            "A .csv, .parquet, .ndjson or .jsonl file; with --as .json or .mcap. Replaced if it exists. With --tiles "
-            "or --as delta a new folder.",
+            "A .csv, .parquet, .ndjson or .jsonl file; with --as, .json or .mcap. Replaced if it exists. With --tiles "
+            "or --as delta, a new folder.",
         ),
     ],
-    query: str | None = declare("NAME", "Export the answer of this query.", "every event", complete="queries"),
+    query: str | None = declare("NAME", "Export the answer to this query.", "every event", complete="queries"),
     parameters: ParameterOption = None,
     *,
     raw: RawOption = False,
@@ -79,13 +79,13 @@ def export(
     ),
     progress: Annotated[Progress | None, Shows("exported", "commits")] = None,
 ) -> ExportResult:
-    """Write events, or the answer of a query, to a file.
+    """Write events, or the answer to a query, to a file.
 
     The name of the file decides the format: CSV, Parquet, or JSON with one row a line. In CSV, lists are JSON text, and
-    text is made harmless for spreadsheets and terminals unless --raw is given. The others hold the values themselves.
-    With --as, write events as another system has them (docs/exports.md says what becomes what); the answer says what
-    the file lacks. A run that was cut is one run there, whichever part is named; without --as, and in delta, its parts
-    are separate, as they are stored.
+    text is made harmless for spreadsheets and terminals unless --raw is given. The other formats hold the values
+    unchanged. With --as, write events in the format of another system (docs/exports.md has the mapping); the answer
+    says what the file lacks. A run that was cut becomes one run there, whichever part is named; without --as, and in
+    delta, its parts are separate, as they are stored.
 
     Raises:
         UsageError: The file has another suffix, or lies inside a ledger; there is no such run or format, or the library
@@ -142,7 +142,7 @@ class OpenResult(Answer, msgspec.Struct, frozen=True):
         events = self.provenance.head.events if self.provenance.head else 0
         yield printable.lines(
             f"{self.file}: {self.relations:,} relations and {self.macros:,} macros over {events:,} events",
-            "a macro is called by its parameters, as `FROM denials(run := 1)`",
+            "call a macro with its parameters, as in `FROM denials(run := 1)`",
         )
         if self.not_included:
             yield printable.line(f"not included: {', '.join(self.not_included)}, which need fsar-ledger itself")
@@ -158,7 +158,7 @@ def open(  # named as the command is
     """Write a small DuckDB file for other programs: every event view and query under its name.
 
     DuckDB, notebooks, Polars and BI tools read the ledger through it and can join tables of their own. It reads the
-    segments in their present place, at the present head; `open` again after the ledger grew or moved.
+    segments in their present place, at the present head; run `open` again after the ledger has grown or moved.
 
     Raises:
         UsageError: The name does not end in .duckdb, lies inside a ledger, or is of a file that is not ours.
@@ -186,7 +186,7 @@ def open(  # named as the command is
         except (duckdb.Error, QueryFailed) as problem:  # our own queries are correct
             reason = str(problem).removeprefix("SQL: ").partition("\n")[0]
             raise WriteFailed(
-                f"{file}: cannot be written ({reason}); the file is as it was before: make room or choose another place"
+                f"{file}: cannot be written ({reason}); the file was not changed: make room or choose another place"
             ) from problem
 
 

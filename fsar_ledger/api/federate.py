@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
 CONTINUES = "every decision that was printed is on disk, and the same command continues the run"
 FLEET: Any = declare("FLEET", "A .toml file with your own fleet, or the name of a registered one.")
-ROBOTS: Any = declare("N", "How many robots it has.", "one team", least=1)
+ROBOTS: Any = declare("N", "How many robots the fleet has.", "one team", least=1)
 SETTINGS: Any = declare("NAME=VALUE", "Set a constant, as `simulate` does; may be repeated.", flag="--set")
 ORIGIN_NAME: Any = declare("NAME", "Publish a new ledger under this name.", "the key's name, else a general one")
 CUT: Any = declare(
     "WHEN",
-    "When to end the run and continue it in a new one: daily, or at times in UTC, as in 06:00,14:00,22:00.",
+    "When to end the run and continue it in a new one: daily, or at times in UTC, such as 06:00,14:00,22:00.",
     "never",
 )
 ISOLATED: Any = declare("ROBOT", "Govern only this robot, which is cut off from its fleet; needs --of.")
@@ -93,10 +93,12 @@ def federate(
     if (isolated is None) is not (of is None):
         raise UsageError(f"{option('isolated')} and {option('of')}: found one of them, expected both, or none")
     if isolated is not None and (fleet is not None or robots is not None or settings):
-        raise UsageError(f"{option('isolated')}: found a fleet or settings beside it, expected those of the ledger")
+        raise UsageError(
+            f"{option('isolated')}: found a fleet or settings, expected only those of the ledger; leave them out"
+        )
     isolated = isolated if isolated is None or "/" in isolated else f"robot/{isolated}"
     if not run:
-        raise UsageError("run: found an empty name, expected one with at least a letter")
+        raise UsageError("run: found an empty name, expected a name")
     path, signer = Path(out), None if key is None else read_signer(Path(key))
     name = origin_of(path, named_origin(origin), signer, ORIGIN)
     is_continued = kept_origin(path) is not None and open_ledger(path).has_run(run)
@@ -113,7 +115,7 @@ def federate(
     )
     mismatch = None
     if is_continued and not _is_as_begun(federation, robots, fleet, settings):
-        mismatch = "a fleet or settings other than it was begun with, expected the same or none; leave them out"
+        mismatch = "another fleet or other settings than at its beginning, expected the same or none; leave them out"
     if isolated is not None and federation.state.fleet.isolated != isolated:
         mismatch = f"another run, expected that of {isolated} alone"
     if mismatch is not None:
@@ -152,7 +154,7 @@ def _times_us(cut: str) -> tuple[int, ...]:
         if any(moment.tzinfo is not None for moment in times):
             raise ValueError
     except ValueError as error:
-        expected = "daily, or times of the day in UTC as in 06:00,14:00"
+        expected = "daily, or times of day in UTC, such as 06:00,14:00"
         raise UsageError(f"{option('cut', printable.value(cut))}: expected {expected}") from error
     return tuple(((moment.hour * 60 + moment.minute) * 60 + moment.second) * 1_000_000 for moment in times)
 
@@ -315,8 +317,8 @@ def _handed_over_line(ledger: "Ledger", *, run: Run | None = RUN) -> Answer:
 def hand_over(ledger: "Ledger", *, run: Run | None = RUN) -> dict[str, Any]:
     """Make the command that hands an isolated robot's run over to its fleet.
 
-    On the command line it is printed as one line for `federate`; in Python its fields are returned. Given to the fleet,
-    each result of the robot is accepted, or the answer says what has overtaken it.
+    On the command line it is printed as one line for `federate`; in Python its fields are returned. The fleet accepts
+    each result of the robot, or answers what has overtaken it.
 
     Raises:
         UsageError: There is no such run, it is not that of a robot alone, or the ledger is the log of a federation.

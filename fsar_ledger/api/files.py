@@ -201,7 +201,7 @@ def whole_file(out: Path) -> Iterator[Path]:
         os.replace(temporary, out)
     except OSError as problem:
         raise WriteFailed(
-            f"{out}: cannot be written ({problem.strerror or problem}); the file is as it was before: make room or "
+            f"{out}: cannot be written ({problem.strerror or problem}); the file was not changed: make room or "
             "choose another place"
         ) from problem
     finally:
@@ -233,8 +233,8 @@ def write_as(
         require_picture(file, FORMATS[format], "out")
     elif file.suffix:
         raise UsageError(
-            f"{option('out', file)}: found a name that ends in {file.suffix!r}, expected that of a new folder, without "
-            "a suffix; choose another name"
+            f"{option('out', file)}: found a name that ends in {file.suffix!r}, expected the name of a new folder, "
+            "without a suffix; choose another name"
         )
     if format == "delta" and run is not None:
         raise UsageError(
@@ -300,7 +300,7 @@ def _only_run(view: "View") -> str | None:
     names = [name for name in view.run_names.runs if wholes.get(name, name) == name]
     if len(names) > 1:
         raise UsageError(
-            f"{option('format', 'perfetto')}: found {len(names):,} runs and none that is asked for, expected one, as a "
-            f"trace shows one; name it with {option('run')}"
+            f"{option('format', 'perfetto')}: found {len(names):,} runs, expected one, since a trace shows one run; "
+            f"name it with {option('run')}"
         )
     return names[0] if names else None

@@ -174,7 +174,7 @@ class Contents(Answer, msgspec.Struct, frozen=True):
         yield from self._standing()
         if forks := sum(group["runs"] for group in self.groups if group["changes"] is not None):
             forked = f"{counted(forks, 'fork')} among them" if forks < self.run_count else "all of them forks"
-            yield f"{forked}; the query forks says of which runs, and how far they repeat them"
+            yield f"{forked}; the query `forks` shows of which runs, and how far they repeat them"
         if begins := self.begins:
             dated, first, last = begins["runs"], begins["first"], begins["last"]
             several = f"{counted(dated, 'run')} with a time of day begin from {first} to {last}"
@@ -185,7 +185,7 @@ class Contents(Answer, msgspec.Struct, frozen=True):
         if smaller := sum(bool(plan["larger_plans"]) for plan in self.plans):
             yield (
                 f"enlarged: {smaller:,} of {len(self.plans):,} plans {_are(smaller)} part of a larger one; runs, run "
-                "ids and metrics are as if it had been planned so large at once, the root is not"
+                "ids and metrics are as if only the larger one had been planned, the root is not"
             )
         if self.is_complete is not False:
             yield from self._rectangle()
@@ -196,15 +196,15 @@ class Contents(Answer, msgspec.Struct, frozen=True):
             more = len(self.models) - printable.NAMED
             yield from [f"and {more:,} more, --json names all"] if more > 0 else []
         if self.not_observed:
-            yield f"not observed, so that no answer is about it: {unobserved_text(self.not_observed)}"
+            yield f"not observed, so no answer is about it: {unobserved_text(self.not_observed)}"
 
     def _standing(self) -> Iterator[str]:
         total = counted(self.run_count, "run")
         if not self.plans:
-            remark = "no plan is on record, so nothing says whether they are all that was meant"
+            remark = "no plan is on record, so nothing shows whether any are missing"
             yield f"{total}; {remark}" if self.groups else "no runs yet, and no plan on record"
             return
-        of_plans = "complete: all that was planned is there"
+        of_plans = "complete: all planned runs are there"
         if self.is_complete is False:
             lacking = "" if self.missing is None else f": {counted(self.missing, 'planned run')} {_are(self.missing)}"
             of_plans = f"not complete{lacking and f'{lacking} missing'}"
@@ -213,14 +213,14 @@ class Contents(Answer, msgspec.Struct, frozen=True):
             return
         kinds = ", ".join(f"{count:,} {printable.value(kind)}" for kind, count in self.unplanned.items())
         yield from (total, f"planned runs: {of_plans}")
-        yield f"other runs: {kinds}; no plan names them, so nothing says whether they are all that was meant"
+        yield f"other runs: {kinds}; no plan names them, so nothing shows whether any are missing"
 
     def _rectangle(self) -> Iterator[str]:
         """Describe the shape of the runs, if no plan shows what is missing."""
         measured = [group["runs_to_rectangle"] for group in self.groups if group["runs_to_rectangle"] is not None]
         of_all = "each group {} all runs of all scenarios of its model, seed and fleet size"
         if missing := sum(measured):
-            yield f"not a rectangle: {counted(missing, 'run')} less than if {of_all.format('had')}"
+            yield f"not a rectangle: {counted(missing, 'run')} fewer than if {of_all.format('had')}"
         elif measured and not self.plans:
             yield f"a rectangle: {of_all.format('has')}"
 
@@ -239,7 +239,7 @@ def info(ledger: "Ledger") -> Contents:
     """Show what a ledger holds, and whether it is complete.
 
     Shows the head, which planned runs are there, the runs by model, seed, fleet size, architecture and configuration,
-    and (with --json) the parameters of their worlds. Without a plan on record nothing shows what is missing.
+    and (with --json) the parameters of their worlds. Without a plan on record, nothing shows what is missing.
 
     Raises:
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `connect`, and `models`.
@@ -282,7 +282,7 @@ def _unfinished(plan: Mapping[str, Any]) -> str:
     command = plan["continues_with"]
     go_on = f"with: {command}" if command else "with the version and the constants that began it"
     of_plan = f"{plan['there_count']:,} of {plan['planned_count']:,} runs of {shape(plan)}"
-    return f"interrupted, or still at work: {of_plan}; go on {go_on}"
+    return f"interrupted, or still running: {of_plan}; continue {go_on}"
 
 
 def _are(number: int) -> str:

@@ -38,7 +38,7 @@ def key_new(
 ) -> "VerifierKey":
     """Make a key that signs ledgers, and print its public half.
 
-    Keep FILE secret: whoever has it can rewrite every ledger that it signed. The public half is for everyone who
+    Keep FILE secret: anyone who has it can rewrite every ledger that it signed. The public half is for everyone who
     verifies.
 
     Raises:
@@ -85,7 +85,7 @@ def signer_of(key: str | PathLike[str] | None, *, adopts: bool = False) -> "Sign
     """
     if key is None:
         if adopts:
-            raise UsageError(f"{option('adopt')}: found no {option('key')}, expected the key that signs on from here")
+            raise UsageError(f"{option('adopt')}: found no {option('key')}, expected the key that signs from here on")
         return None
     from fsar_ledger.ledger.store.keys import read_signer
 
@@ -135,13 +135,13 @@ def anchor_of(file: str | PathLike[str] | None, trusted: "VerifierKey | None" = 
     if note is not None and trusted is not None and (why := doubt(note, trusted)) is not None:
         raise UsageError(
             f"{option('anchor', str(file))}: found a checkpoint with {why}, expected one signed by {trusted.key}, the "
-            f"trusted key; one of before the key changed is compared without {option('trusted_key')}"
+            f"trusted key; to compare one from before the key changed, leave out {option('trusted_key')}"
         )
     return anchor
 
 
 OWN_CHECKPOINT = (
-    "the anchor is this ledger's own checkpoint, which whoever writes the ledger writes: it shows nothing of the past; "
+    "the anchor is this ledger's own checkpoint, which the ledger's writer writes: it proves nothing about the past; "
     "keep a copy elsewhere"
 )
 
@@ -184,7 +184,7 @@ def signature_text(state: str, signer: str | None) -> str:
 
 @verb("witness new out/witness --name example.org/w1", name="witness new", takes=())
 def witness_new(
-    state: Annotated[Place, argument("STATE", "The folder of the witness: a new one.")],
+    state: Annotated[Place, argument("STATE", "A new folder for the witness.")],
     name: Annotated[str, Option("--name", "NAME", "Its name, host/path by convention.")],
 ) -> "WitnessKey":
     """Make a witness, and print its public key.
@@ -243,13 +243,13 @@ class ServedWitness(Answer):
     takes=(),
 )
 def witness_serve(
-    state: Annotated[Place, argument("STATE", "What `fsar-ledger witness new` made.")],
+    state: Annotated[Place, argument("STATE", "The folder that `fsar-ledger witness new` made.")],
     log: Annotated[
         Sequence[str], Option("--log", "KEY", "Watch this log: its .pub file or public key; may be repeated.")
     ],
     *,
-    host: str = declare("ADDRESS", "The address to listen at.", value="127.0.0.1"),
-    port: int = declare("N", "The port to listen at; 0 takes a free one.", least=0, most=65535, value=0),
+    host: str = declare("ADDRESS", "The address to listen on.", value="127.0.0.1"),
+    port: int = declare("N", "The port to listen on; 0 takes a free one.", least=0, most=65535, value=0),
     clock: Annotated["Callable[[], int]", Gives("clock")],
     ticks: Annotated["Callable[[], float]", Gives("ticks")],
     say: Annotated["Callable[[str], None]", Gives("say")],
@@ -266,7 +266,7 @@ def witness_serve(
 def _ask_witnesses(
     ledger: "Ledger",
     policy: Path,
-    out: Place | None = declare("FILE", "Where the cosigned checkpoint goes; replaced.", "print it"),
+    out: Place | None = declare("FILE", "Where the cosigned checkpoint goes; replaced if it exists.", "print it"),
     *,
     say: Annotated["Callable[..., None]", Gives("say")],
 ) -> Answer:
@@ -302,7 +302,7 @@ def witness_ask(
     """Have the newest checkpoint of a ledger cosigned.
 
     Each witness in FILE that has a URL gets the checkpoint and a proof that the ledger only grew, but no event. If
-    fewer cosign than FILE demands, nothing is written and the exit code is 1.
+    fewer cosign than FILE requires, nothing is written and the exit code is 1.
 
     Raises:
         NotCosigned: Fewer cosigned than the policy demands.
@@ -317,6 +317,6 @@ def witness_ask(
         refusals = "; ".join(f"{name}: {reason}" for name, reason in cosigned.silent.items())
         raise NotCosigned(
             f"{policy}: found {listed(cosigned.times) or 'no cosignature'} ({refusals}), expected {rules.rule()}; "
-            "nothing was written, try again or look into it"
+            "nothing was written; try again, or find out why"
         )
     return cosigned

@@ -51,7 +51,7 @@ class Timeline(Answer):
         lines = Lines(screen)
         yield from (lines.text(rows) for table in self._tables for rows in table.parts())
         if self._ends and lines.run is None:
-            yield printable.line("no such events")
+            yield printable.line("no matching events")
 
 
 def _requested_log(
@@ -62,12 +62,12 @@ def _requested_log(
     robot: str | None,
     about: Names,
     follow: bool = switch("Show every run, then wait for more commits, until Ctrl-C."),
-    as_json: bool = switch("A JSON object for each event, one a line.", flag="--json"),
+    as_json: bool = switch("Show each event as a JSON object, one per line.", flag="--json"),
     pause: Annotated[Callable[[float], None] | None, Gives("pause")] = None,
 ) -> Timeline:
     if follow and run not in (None, ALL):
         raise UsageError(
-            f"--follow and --run {run}: a run is committed whole, so nothing more of it comes; expected one of them"
+            f"--follow and --run {run}: a run is committed whole, so it gets no more events; expected one of them"
         )
     if follow and ledger.demands:
         raise UsageError(
@@ -87,7 +87,7 @@ def _requested_log(
     "log out/ledger --run all --about requests,policy --json",
     takes=("verified",),
     call=_requested_log,
-    after_interruption="what is shown stays committed, and nothing was changed",
+    after_interruption="the events shown are committed, and nothing was changed",
 )
 def log(
     ledger: "Ledger",
@@ -102,7 +102,9 @@ def log(
         "TIME", "Only before this time, which may be after the end of the run.", "the end", flag="--to"
     ),
     robot: str | None = declare("ROBOT", "Only events that name this robot.", "all"),
-    about: Names = declare("CONCERN", "Only events of these concerns, as in requests,policy; may be repeated.", "all"),
+    about: Names = declare(
+        "CONCERN", "Only events of these concerns, such as requests,policy; may be repeated.", "all"
+    ),
 ) -> "Table":
     """Show a run event by event: who told whom what, or did what, and when.
 
@@ -110,8 +112,8 @@ def log(
     shown.
 
     The words are those of `explain`. A line has the number of the event in its run, the time in seconds, the action,
-    who tells whom (one name for what a robot does itself, or what happens to it), what, and what else the record says.
-    `?` is not on record.
+    who tells whom (one name if a robot acts alone, or something happens to it), what, and what else the record says.
+    `?` means not on record.
 
     Raises:
         UsageError: There is no such run, robot or concern, the run has ended before `since`, or `until` is not after
@@ -155,8 +157,8 @@ def stream_log(
 
     if pause is not None and ledger.demanded is not None:
         raise UsageError(
-            "rows that will be committed later cannot have been compared with the root yet: expected a ledger that "
-            "was opened without demanding that, or no waiting for more"
+            "rows that will be committed later cannot have been compared with the root yet: expected a ledger opened "
+            "without that demand, or no wait for more"
         )
     with ledger.database() as database:
         request = asked_of(database, ledger.path, ALL, since, until, robot, about, is_growing=pause is not None)

@@ -52,25 +52,27 @@ class RecoverResult(Answer, msgspec.Struct, frozen=True):
         """Yield what was found, what was done, what can be trusted and what to do next."""
         ledger, result, into = self.ledger, self.found, self.into
         if result.report is not None and not result.problems:
-            done = "mended; nothing was deleted" if result.steps else "whole, there is nothing to mend"
+            done = "repaired; nothing was deleted" if result.steps else "intact, nothing to repair"
             lines = [
-                f"{ledger}: {done}{'; its shards are not all whole' if result.shards else ''}",
+                f"{ledger}: {done}{'; not all of its shards are intact' if result.shards else ''}",
                 *_done(result.steps),
             ]
             lines += ["trusted", *self._trusted()]
             lines += ["next"] if result.steps or into is not None else []
-            lines += ["  the command that was interrupted continues when it is called again"] if result.steps else []
+            lines += ["  run the interrupted command again: it continues where it stopped"] if result.steps else []
             lines += [f"  nothing was copied to {into}: {ledger} itself can be trusted"] if into is not None else []
             lines += ["shards", *_first_lines([f"  {problem}" for problem in result.shards])] if result.shards else []
-            lines += ["  fsar-ledger maintain recover SHARD mends one of them"] if result.shards else []
+            lines += ["  fsar-ledger maintain recover SHARD repairs one of them"] if result.shards else []
         else:
             where = result.problems[0].commit
             location = f"commit {where:,}" if where is not None else result.problems[0].where
-            changed = "it was mended as far as possible" if result.steps else "nothing of it was changed"
+            changed = "it was repaired as far as possible" if result.steps else "it was not changed"
             lines = [f"{ledger}: damaged at {location}; {changed}"]
             lines += ["found", *_first_lines([f"  {problem}" for problem in result.problems]), *_done(result.steps)]
             lines += ["trusted", *self._trusted()]
-            lines += ["after that, on its own", *_first_lines(list(_later(result.later)))] if result.later else []
+            lines += (
+                ["later commits, each on its own", *_first_lines(list(_later(result.later)))] if result.later else []
+            )
             lines += ["next", *self._next()]
         yield printable.lines(*lines)
 
@@ -81,7 +83,7 @@ class RecoverResult(Answer, msgspec.Struct, frozen=True):
             last = f"commit{'s 0 to' if head.commits > 1 else ''} {head.commits - 1:,}"
             yield f"  {last}: {head.size:,} events, up to run {printable.value(head.last_run or '')}"
             yield f"  root {head.root}"
-            yield "  every row, hash and record of them was derived again and agrees"
+            yield "  all their rows, hashes and records were derived again and agree"
         else:
             yield "  no commit" if result.problems else "  it is empty"
         if self.asked.trusted is not None and head.commits:
@@ -91,8 +93,7 @@ class RecoverResult(Answer, msgspec.Struct, frozen=True):
         note = self.asked.anchor.note if self.asked.anchor is not None else None
         if note is None:
             yield (
-                "  whether newer commits were removed, nothing in a ledger shows; --anchor FILE does, a checkpoint "
-                "kept elsewhere"
+                "  no ledger shows whether newer commits were removed; --anchor FILE, a checkpoint kept elsewhere, does"
             )
         elif is_own_checkpoint(self.asked.anchor, self.ledger):
             yield f"  {OWN_CHECKPOINT}"
@@ -104,7 +105,7 @@ class RecoverResult(Answer, msgspec.Struct, frozen=True):
                 f"begins with these {head.size:,}"
             )
         else:
-            yield "  the anchor vouches for none of it"
+            yield "  the anchor vouches for none of them"
 
     def _next(self) -> Iterator[str]:
         ledger, result, into = self.ledger, self.found, self.into
@@ -113,7 +114,7 @@ class RecoverResult(Answer, msgspec.Struct, frozen=True):
                 f"  {into} holds what can be trusted, byte for byte, and verifies; {ledger} remains damaged, keep it "
                 "as evidence"
             )
-            yield f"  fsar-ledger simulate {printable.word(into)} with the options of {ledger} continues there"
+            yield f"  fsar-ledger simulate {printable.word(into)} with the options of {ledger} continues it"
             return
         yield f"  keep {ledger} as it is: it is the evidence"
         lost = dict.fromkeys((commit.file, commit.restore) for commit in result.later if commit.file is not None)
@@ -123,7 +124,7 @@ class RecoverResult(Answer, msgspec.Struct, frozen=True):
         if result.head.commits:
             yield (
                 f"  fsar-ledger maintain recover {printable.word(ledger)} --into NEW copies what can be trusted to a "
-                "new ledger; simulate NEW continues there"
+                "new ledger; simulate NEW continues it"
             )
         else:
             yield "  restore it from a copy that verifies, or begin a new ledger"
@@ -160,7 +161,7 @@ def _recovered(
     name="maintain recover",
     takes=("json",),
     call=_recovered,
-    after_interruption="what was mended stays; run it again",
+    after_interruption="finished repairs are kept; run it again",
 )
 def recover(
     ledger: "Ledger",
@@ -175,8 +176,8 @@ def recover(
 
     Nothing is deleted: what does not belong to the ledger moves to LEDGER.set-aside. A ledger whose rows or records
     were altered or lost is left as it is; the answer says up to which commit it can be trusted, and --into copies that
-    much. Of the log of a federation, the shards are left as they are; those that are not whole are named. Exit code 3
-    if LEDGER is damaged and nothing was copied, or a shard is not whole.
+    much. The shards of a federation's log are left as they are; those that are not intact are named. Exit code 3 if
+    LEDGER is damaged and nothing was copied, or a shard is not intact.
 
     Raises:
         UsageError: `into` exists.
@@ -201,17 +202,17 @@ def _upgraded(ledger: "Ledger", into: Path, *, progress: Progress | None) -> Lin
     name="maintain upgrade",
     takes=("json",),
     call=_upgraded,
-    after_interruption="the commits written so far stay; run it again to go on",
+    after_interruption="the commits written so far are kept; run it again to continue",
 )
 def upgrade(
     ledger: "Ledger",
-    into: Annotated[Place, Option("--into", "NEW", "The new folder of the ledger.")],
+    into: Annotated[Place, Option("--into", "NEW", "A new folder for the ledger.")],
     *,
     progress: Annotated[Progress | None, Shows("written", "commits")] = None,
 ) -> "Head":
-    """Write a ledger of format 1, of fsar-ledger up to 0.8, in today's format: the same events, commits and root.
+    """Convert a ledger of format 1, of fsar-ledger up to 0.8, to the present format: the same events, commits and root.
 
-    LEDGER is verified first, and stays as it is. Signatures are kept.
+    LEDGER is verified first and is not changed. Signatures are kept.
 
     Raises:
         UsageError: The ledger is not of format 1, its writer was interrupted, or something else is at `into`.
@@ -234,7 +235,7 @@ class CompactResult(msgspec.Struct, frozen=True):
 def _compacted(ledger: "Ledger") -> Lines:
     result = compact(ledger)
     done = (
-        f"{counted(result.before, 'segment')} put into {result.after:,}"
+        f"{counted(result.before, 'segment')} merged into {result.after:,}"
         if result.after < result.before
         else f"nothing to do: {counted(result.after, 'segment')}"
     )
@@ -254,7 +255,7 @@ def _compacted(ledger: "Ledger") -> Lines:
     name="maintain compact",
     takes=("json",),
     call=_compacted,
-    after_interruption="nothing is lost; run it again to go on",
+    after_interruption="nothing is lost; run it again to continue",
 )
 def compact(ledger: "Ledger") -> CompactResult:
     """Merge small segments, and write what the journal holds as a segment.

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from .table import Table
 
 NOTHING = (
-    "nothing to compare; that takes runs of two architectures, or of one with and without a mechanism, that met "
+    "nothing to compare; this needs runs of two architectures, or of one with and without a mechanism, that met "
     "the same world"
 )
 OURS = "our reading"
@@ -144,11 +144,11 @@ class Statistics(Answer, msgspec.Struct, frozen=True):
 
 @verb("statistics out/ledger", "statistics out/ledger --csv", takes=("cluster", *ROWS))
 def statistics(ledger: "Ledger", pool: PoolOption = None) -> Statistics:
-    """Compare the architectures of a ledger in pairs, and FSAR with itself without a mechanism.
+    """Compare the architectures of a ledger in pairs, and FSAR with and without a mechanism.
 
     For each metric and pair: paired t, Wilcoxon signed-rank, effect sizes, exact McNemar for human intervention, and
     Holm over the 24 tests of the architectures, or over those of all ablations. Runs that did not meet the same world
-    are named first and left out; exit code 1 where facts differ that an experiment keeps alike. The answer says what
+    are named first and left out; exit code 1 if facts differ that an experiment keeps the same. The answer says what
     cannot be compared, and why. A run without failures counts as in the paper (containment 1, latency 0 s); `query
     statistics/all_pairwise_tests` also has the tests without such pairs (basis defined). The columns pooled_* test what
     the results table prints: containment and latency pooled over failures.
@@ -289,7 +289,7 @@ def _verdicts(rankings: "Sequence[OrderUnderReadings]") -> Iterator[str]:
             )
         else:
             fsar = ", one of them FSAR" if count == "fsar_best" else ""
-            yield f"whether {what}: nothing to rank; that takes means of two architectures{fsar}"
+            yield f"whether {what}: nothing to rank; this needs means of two architectures{fsar}"
 
 
 def _columns(rows: Sequence[Row], columns: tuple[str, ...]) -> list[str]:

@@ -70,9 +70,9 @@ def prove(
     """Prove that one event is in a ledger.
 
     The proof is one small text, a C2SP tlog-proof: the event, the hashes from it to the root, and the newest
-    checkpoint. In a federation it has two steps: the event is in a shard, and its log has the head of that shard. Or
-    (`cose`) it is a COSE transparent statement in CBOR: the event and a receipt of RFC 9942 with the
-    same hashes, both signed now with the key of the ledger. `verify-proof` checks both without the ledger.
+    checkpoint. In a federation it has two steps: the event is in a shard, and the log has the head of that shard. With
+    `--as cose` it is a COSE transparent statement in CBOR: the event and a receipt of RFC 9942 with the same hashes,
+    both signed now with the key of the ledger. `verify-proof` checks both kinds without the ledger.
 
     Raises:
         UsageError: There is no such event, more than one such run, `out` exists or lies inside a ledger; for `cose`,
@@ -118,14 +118,16 @@ def _signer(form: str, out: Place | None, key: Place | None) -> "Signer | None":
     if form != "cose":
         if key is not None and str(key) != os.environ.get("FSAR_LEDGER_KEY"):
             raise UsageError(
-                f"{option('key', key)}: found a key for a {form}, which nobody signs, expected none, or "
+                f"{option('key', key)}: found a key for a {form}, which is not signed, expected none, or "
                 f"{option('format', 'cose')}"
             )
         return None
     where = option("format", form)
     for name, value in (("out", out), ("key", key)):
         if value is None:
-            expected = "a new file, since CBOR is no text" if name == "out" else "the secret key that signed the ledger"
+            expected = (
+                "a new file, since CBOR is not text" if name == "out" else "the secret key that signed the ledger"
+            )
             raise UsageError(f"{where}: found no {option(name)}, expected {expected}")
     library(where)
     return signer_of(key)
@@ -241,7 +243,7 @@ class CheckedProof(Answer, msgspec.Struct, frozen=True):
         if self.compared:
             hint = [f"the root is that of {' and '.join(self.compared)}"]
         elif top.signature != "signed":
-            hint = ["no signature was checked: compare the root with one that you trust, by --anchor or --root"]
+            hint = ["no signature was checked: compare the root with one that you trust, with --anchor or --root"]
         if proven.log is None:
             steps = [f"{self.file}: proven: {position}, {signature}", f"root {proven.root}"]
         else:
@@ -281,7 +283,7 @@ def _checked(file: Path, trusted_key: str | None, anchor: Path | None, root: str
     call=_checked,
 )
 def verify_proof(
-    file: Annotated[Place, argument("FILE", "What `fsar-ledger prove` wrote.")],
+    file: Annotated[Place, argument("FILE", "The file that `fsar-ledger prove` wrote.")],
     trusted_key: TrustedKeyOption = None,
     *,
     anchor: Place | None = declare("FILE", "Compare the root with that of this checkpoint, kept elsewhere."),

@@ -102,9 +102,7 @@ def _arrange(values: dict[str, Any]) -> None:
         return
     if file is None:
         if (seconds := values["seconds"]) is not None:
-            raise UsageError(
-                f"--seconds {seconds}: expected only with --file; a packaged query takes as long as it takes"
-            )
+            raise UsageError(f"--seconds {seconds}: expected only with --file; a packaged query has no time limit")
         if name is None or ledger is None:
             raise UsageError(
                 "query: expected NAME and LEDGER, as in `fsar-ledger query failures out/ledger`; `fsar-ledger query "
@@ -198,7 +196,7 @@ def _text_of(file: Path, limit: int) -> str:
             f"{file}: cannot be read ({problem.strerror}), expected a file that holds one SELECT"
         ) from problem
     if len(data) > limit:
-        raise QueryFailed(f"SQL: found more than {limit:,} bytes of text, the limit; split the question")
+        raise QueryFailed(f"SQL: found more than {limit:,} bytes of text, the limit; split the query")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
@@ -263,8 +261,8 @@ def sql(
 ) -> "Table":
     """Answer a SELECT of your own.
 
-    It can read `events`, one view for each event type, and all of `query --list`; a query with parameters is called,
-    as in `FROM denials(run := 1)`. `SHOW TABLES` lists them all, `DESCRIBE NAME` the columns of one. It runs in a
+    It can read `events`, one view for each event type, and all of `query --list`; a query with parameters is called
+    like `FROM denials(run := 1)`. `SHOW TABLES` lists them all, `DESCRIBE NAME` the columns of one. It runs in a
     locked-down process that can read this ledger and nothing else.
 
     Raises:

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from .ledger import Ledger
 
 FEDERATION = "fsar-ledger/federation"
-TAKEN_STAYS = "every event that was taken is on disk, and the same command continues the run"
-COMMITTED_STAYS = "what is committed stays, and the same command continues there"
+TAKEN_STAYS = "every accepted event is on disk, and the same command continues the run"
+COMMITTED_STAYS = "what is committed is kept, and the same command continues from there"
 
 
 @checked
@@ -119,7 +119,7 @@ def record_lines(
     out: Annotated[Place, argument("OUT", "A new folder, or that of a ledger to add to.")],
     *,
     run: str | None = declare("NAME", "The name of the run; an existing one is continued.", "the present time"),
-    source: str = declare("NAME", "Who records.", value="recorder"),
+    source: str = declare("NAME", "The name of the recorder.", value="recorder"),
     observes: Names = declare(
         "NAME",
         "What is recorded completely: a concern, an event type, or TYPE.FIELD; may be repeated.",
@@ -130,15 +130,15 @@ def record_lines(
     origin: str | None = declare("NAME", "Publish a new ledger under this name.", "the key's name, else a general one"),
     key: KeyOption = None,
     private_names: Place | None = declare(
-        "FILE", "Store commitments in place of the names of people, which this file outside the ledger keeps."
+        "FILE", "Store commitments in place of the names of people; this file outside the ledger keeps the names."
     ),
     say: Annotated[Callable[[str], None], Gives("say")],
 ) -> RecordResult:
-    """Record events from standard input as they come, one JSON object a line, each on disk before the next is read.
+    """Record events from standard input as they come, one JSON object per line, each stored before the next is read.
 
-    A line has `type` (`ExecutionStarted`) and the columns of that type (`docs/event-types.json`), and perhaps `time`
-    (ISO 8601; UTC if it has no zone) and `caused_by`. A wrong line is refused at once, with the reason, and
-    recording goes on.
+    A line has `type` (`ExecutionStarted`) and the columns of that type (`docs/event-types.json`), and optionally `time`
+    (ISO 8601; UTC if it has no zone) and `caused_by`. An invalid line is refused at once, with the reason, and
+    recording continues.
 
     Raises:
         UsageError: A name in --observes is none, or the run is there and was declared otherwise.
@@ -201,14 +201,14 @@ class ImportResult(Answer, msgspec.Struct, frozen=True):
         source = f"{counted(result.records, 'record')} of {value(result.format)}{earlier}"
         yield printable.lines(
             f"{self.ledger.path}: run {value(result.run)}, {source}",
-            *([f"on file before, as run {', '.join(map(value, self.also))}: all counts twice"] if self.also else []),
+            *([f"recorded before, as run {', '.join(map(value, self.also))}: counts twice"] if self.also else []),
             f"events made: {', '.join(f'{count:,} {kind}' for kind, count in result.events.items()) or 'none'}",
             *(
                 f"not understood: {value(item.kind)}, {counted(item.count, 'record')}, the first of them {item.first:,}"
                 for item in result.not_understood[: printable.NAMED]
             ),
             *result.about_times(),
-            *([f"said to be recorded, and never seen: {', '.join(self.unseen)}"] if self.unseen else []),
+            *([f"declared as recorded, but never seen: {', '.join(self.unseen)}"] if self.unseen else []),
             *self._judged(),
         )
 
@@ -217,10 +217,10 @@ class ImportResult(Answer, msgspec.Struct, frozen=True):
         yield f"can be judged: {', '.join(observable) or 'nothing'}"
         hidden = [gap for gap in self.gaps if not gap["is_observable"]]
         for gap in hidden[: printable.NAMED]:
-            yield f"not observable: {_short(gap['judge'])}, for want of {gap['missing']}"
+            yield f"not observable: {_short(gap['judge'])}, because this is missing: {gap['missing']}"
         if more := hidden[printable.NAMED :]:
             path = printable.word(self.ledger.path)
-            yield f"and {len(more)} more, for want of more; `fsar-ledger query record_gaps {path}` lists all"
+            yield f"and {len(more)} more; `fsar-ledger query record_gaps {path}` lists all"
 
 
 @verb(
@@ -232,24 +232,22 @@ class ImportResult(Answer, msgspec.Struct, frozen=True):
 )
 def import_records(
     out: Annotated[Place, argument("OUT", "A new folder, or that of a ledger to add to.")],
-    logs: Annotated[
-        Sequence[Place], argument("LOG...", "Files of the recording, in their order; - is standard input.")
-    ],
+    logs: Annotated[Sequence[Place], argument("LOG...", "Files of the recording, in order; - is standard input.")],
     *,
     format: str | None = declare("NAME", "The format of the recording.", flag="--as"),
     mapping: Place | None = declare("FILE", "A mapping of your own format (docs/sources/mapping.md).", flag="--with"),
     run: str | None = declare("NAME", "The name of the run.", "that of the first file"),
     fleet: Place | None = declare("FILE", "A .toml file that names the robots of the fleet: [robots], NAME = ROLE."),
-    bodies: bool = switch("Keep every record whole, beside what it says."),
+    bodies: bool = switch("Also keep every record as it was read."),
     origin: str | None = declare("NAME", "Publish a new ledger under this name.", "the key's name, else a general one"),
     key: KeyOption = None,
     progress: Annotated[Progress | None, Shows("imported", "records")] = None,
 ) -> ImportResult:
     """Import a recording of another system as a run of a ledger.
 
-    Every record is kept as an observation, with its hash, and typed events follow from those that the format's adapter
-    understands. Nothing is invented: what the format does not say is unknown, and whatever would rest on it is not
-    observable. Called again, an interrupted import goes on where it stopped, and one whose recording has grown takes
+    Every record is kept as an observation, with its hash, and typed events are derived from those that the format's
+    adapter understands. Nothing is invented: what the format does not say is unknown, and what depends on it is not
+    observable. Called again, an interrupted import continues where it stopped, and one whose recording has grown adds
     what is new.
 
     Raises:
@@ -321,7 +319,7 @@ class RecordedShards(Answer, msgspec.Struct, frozen=True):
                 f"{', '.join(map(value, self.models.get(head.origin, ()))) or 'unknown'}"
                 for head in self.shards
             ),
-            *([f"model versions {', '.join(map(value, versions))}: no answer pools them"] if versions[1:] else []),
+            *([f"model versions {', '.join(map(value, versions))}: answers never pool them"] if versions[1:] else []),
         )
 
 
@@ -329,11 +327,11 @@ class RecordedShards(Answer, msgspec.Struct, frozen=True):
     "shards out/federation out/named out/large",
     "shards out/signed-federation out/named --key out/fleet.key",
     takes=("json",),
-    after_interruption="the heads are recorded all at once, or none is",
+    after_interruption="either all heads were recorded, or none",
 )
 def shards(
     log: Annotated[Place, argument("LOG", "A new folder, or that of the log of a federation.")],
-    ledgers: Annotated[Sequence[Place], argument("LEDGER...", "Ledgers that are its shards.", "all that it has")] = (),
+    ledgers: Annotated[Sequence[Place], argument("LEDGER...", "The ledgers to record.", "all that it has")] = (),
     *,
     origin: str | None = declare("NAME", "Publish a new log under this name.", "the key's name, else a general one"),
     key: KeyOption = None,
@@ -341,8 +339,8 @@ def shards(
 ) -> RecordedShards:
     """Record the present heads of several ledgers in a log, so that they can be queried and proven as one ledger.
 
-    The log is a ledger like any other, of the heads of its shards. Every question that is put to it is answered from
-    the shards, at these heads. A shard that has grown is recorded again; it must go on from its recorded head.
+    The log is a ledger like any other, of the heads of its shards. Everything that is asked of it is answered from the
+    shards, at these heads. A shard that has grown is recorded again; it must continue from its recorded head.
 
     Raises:
         UsageError: A shard has the origin of another, or a run that another has, or is a federation itself; or LOG is a
@@ -367,7 +365,7 @@ def shards(
     current = present(path, heads, folders)
     name = origin_of(origin) or kept or (signer.verifier.name if signer is not None else FEDERATION)
     if name in current.views:
-        raise UsageError(f"{option('origin', name)}: found the origin of a shard, expected one of the log's own")
+        raise UsageError(f"{option('origin', name)}: found the origin of a shard, expected an origin of the log's own")
     with Writer(path, name, signer, adopts=adopt) as writer:
         if current.heads:
             try:
@@ -376,7 +374,7 @@ def shards(
                 if writer.head.size == len(heads):
                     raise
                 raise SequenceConflict(
-                    f"{path}: found that the log has grown meanwhile, expected the {len(heads):,} heads that it had; "
+                    f"{path}: found that the log has meanwhile grown, expected the {len(heads):,} heads that it had; "
                     "nothing was recorded: run it again"
                 ) from error
         head = writer.head

@@ -237,5 +237,5 @@ def beyond(result: "SimulationResult") -> list[str]:
         return []
     return [
         f"the ledger holds {counted(more, 'run')} beyond the {result.runs_asked:,} of the paper's experiment, and they "
-        "are judged here, too"
+        "are also judged here"
     ]

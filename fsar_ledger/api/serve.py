@@ -137,7 +137,9 @@ class ServedFederation(Answer):
 )
 def serve_federation(
     out: Annotated[Place, argument("OUT", "A new folder, or that of a ledger to add to.")],
-    principals: Annotated[Place, Option("--principals", "FILE", "Who may speak: what `principal new` made.")],
+    principals: Annotated[
+        Place, Option("--principals", "FILE", "The registered principals, the file that `principal new` made.")
+    ],
     *,
     run: str = declare("NAME", "The name of the run; an existing one is continued.", value="live"),
     fleet: str | None = FLEET,
@@ -148,13 +150,15 @@ def serve_federation(
     cut: str | None = CUT,
     isolated: str | None = ISOLATED,
     of: Place | None = OF,
-    host: str = declare("ADDRESS", "The address to listen at.", value="127.0.0.1"),
-    port: int = declare("N", "The port to listen at; 0 takes a free one.", least=0, most=65535, value=0),
+    host: str = declare("ADDRESS", "The address to listen on.", value="127.0.0.1"),
+    port: int = declare("N", "The port to listen on; 0 takes a free one.", least=0, most=65535, value=0),
     rate: int = declare("N", "How many commands a second each principal may give.", least=1, value=100),
     certificate: Place | None = declare("FILE", "Serve over TLS with this certificate (PEM)."),
-    certificate_key: Place | None = declare("FILE", "Its key.", "in the same file"),
+    certificate_key: Place | None = declare("FILE", "The key of the certificate.", "in the same file"),
     policy: Place | None = declare("FILE", "Have checkpoints cosigned by the witnesses of this C2SP policy."),
-    witness_every: int = declare("SECONDS", "How often; the newest cosigned one is OUT.cosigned.", least=1, value=60),
+    witness_every: int = declare(
+        "SECONDS", "How often they are cosigned; the newest is OUT.cosigned.", least=1, value=60
+    ),
     say: Annotated["Callable[..., None]", Gives("say")],
     show: Annotated["Callable[[SafeText], None]", Gives("show")],
 ) -> ServedFederation:
@@ -204,13 +208,13 @@ def _token_told(file: Place, name: str) -> Answer:
     call=_token_told,
 )
 def principal_new(
-    file: Annotated[Place, argument("FILE", "The file of the principals; made if there is none.")],
+    file: Annotated[Place, argument("FILE", "The file of the principals; created if there is none.")],
     name: Annotated[str, argument("NAME", "robot/A1, supervisor/A1, service/NAME or auditor/NAME.")],
 ) -> str:
     """Register a principal with the service, and return its token, of which only the hash is stored.
 
-    A robot speaks for itself, a supervisor for what they supervise, a service brings work, an auditor reads. To take a
-    token back, remove its line from FILE: the service reads the file when it changes.
+    A robot speaks for itself, a supervisor for the robots they supervise, a service brings work, an auditor reads. To
+    revoke a token, remove its line from FILE: the service reads the file when it changes.
 
     Raises:
         UsageError: No principal can have this name, or the file holds something else.
@@ -266,5 +270,5 @@ def demo(
     if Path(out).exists():
         raise UsageError(f"{printable.value(str(out))}: found something, expected a new folder")
     if not 0 < step <= 60:
-        raise UsageError(f"{option('step', step)}: expected some seconds, at most 60")
+        raise UsageError(f"{option('step', step)}: expected more than 0 and at most 60 seconds")
     return DemoPlayback(Path(out), by_hand, step)

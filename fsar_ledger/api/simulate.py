@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from .ledger import Ledger
 
-CONTINUES = "what is committed stays, and the same command continues there"
+CONTINUES = "what is committed is kept, and the same command continues from there"
 """The effect of an interrupted simulation."""
 
 
@@ -96,15 +96,15 @@ def simulate(
     ),
     workflow: Names = declare(
         "NAME",
-        "Play one of the paper's workflows under FSAR instead: door-relay, layered-recovery or human-supervision; "
+        "Run one of the paper's workflows under FSAR instead: door-relay, layered-recovery or human-supervision; "
         "may be repeated.",
         complete="workflows",
     ),
     runs: int | None = declare("N", "Runs per scenario (or workflow) and architecture.", "20; with --workflow, 1"),
     first_run: int = declare(
-        "N", "The number of the first run: another ledger has those before it (docs/scale.md).", value=0
+        "N", "The number of the first run; another ledger has the runs before it (docs/scale.md).", value=0
     ),
-    seed: int = declare("N", "Decides every draw of the world.", value=42),
+    seed: int = declare("N", "The seed of every random draw of the world.", value=42),
     fleet: Place | None = declare("FILE", "A .toml file with a fleet of your own.", "the paper's"),
     settings: Names = declare(
         "NAME=VALUE",
@@ -177,11 +177,11 @@ def before(result: "SimulationResult") -> list[str]:
     others = f", and {more:,} more" if more else ""
     if not result.runs_made:
         are = "is" if result.runs_asked == 1 else "are"
-        return [f"nothing to do: the {counted(result.runs_asked, 'run')} asked for {are} there{others}"]
+        return [f"nothing to do: the {counted(result.runs_asked, 'requested run')} {are} already there{others}"]
     if result.runs_made < result.runs_asked:
         earlier = result.runs_asked - result.runs_made
         return [
-            f"made {counted(result.runs_made, 'run')}; {earlier:,} of the {result.runs_asked:,} asked for were already "
+            f"made {counted(result.runs_made, 'run')}; {earlier:,} of the {result.runs_asked:,} requested were already "
             f"there{others}"
         ]
     return [f"made {counted(result.runs_made, 'run')}, beside {more:,} of other experiments"] if more else []

@@ -64,7 +64,7 @@ class Moment(Answer, msgspec.Struct, frozen=True, kw_only=True):
         )
         if self.beliefs is not None:
             beliefs = (f"{BESIDE}{line}" for line in map(_belief, self.beliefs))
-            yield printable.lines("", "what it had been told, and what held", *beliefs)
+            yield printable.lines("", "what it had been told, and what was true", *beliefs)
 
 
 @verb(
@@ -80,11 +80,11 @@ def state(
         "TIME", "Within the run: 46.6, 46.6s or 46600ms, or 2026-03-01T10:00Z if it has an epoch.", "its end"
     ),
     *,
-    robot: str | None = declare("ROBOT", "Only what this robot has a part in.", "all"),
+    robot: str | None = declare("ROBOT", "Only what involves this robot.", "all"),
     as_known_by: str | None = declare(
-        "DECIDER", "Also what it had been told: coordinator, robot/A1, service/registry, agent/A1/planning."
+        "DECIDER", "Also what this decider had been told: coordinator, robot/A1, service/registry, agent/A1/planning."
     ),
-    by_commit: int | None = declare("N", "From what the ledger had recorded after N commits.", "all"),
+    by_commit: int | None = declare("N", "Only what the ledger had recorded after N commits.", "all"),
 ) -> Moment:
     """Show a fleet at a moment of a run: who does what, what waits, what is in force, and what is open.
 
@@ -160,7 +160,7 @@ def standing_lines(found: "Situation") -> Iterator[str]:
             yield from (f"{BESIDE}{line}" for line in lines)
     if found.not_observed:
         yield ""
-        yield f"not observed, so that nothing is said of it: {', '.join(found.not_observed)}"
+        yield f"not observed, so not shown: {', '.join(found.not_observed)}"
 
 
 def _robot(robot: "RobotNow") -> Iterator[str]:
@@ -196,7 +196,7 @@ def _robot(robot: "RobotNow") -> Iterator[str]:
 
 def _steps_done(count: int) -> str:
     """Describe the progress of a task whose number of steps is not on record."""
-    return f"{count} steps done, of how many is not on record" if count else "its steps are not on record"
+    return f"{count} steps done; the total is not on record" if count else "its steps are not on record"
 
 
 def _lists(situation: "Situation") -> Mapping[str, list[str]]:
@@ -249,7 +249,7 @@ def _limits(rule: "RuleNow | TrustNow") -> str:
 
 def _belief(belief: "Belief") -> str:
     about = f"{printable.value(belief.about)}, {belief.what}"
-    holds = "what holds is not observed" if belief.holds is None else f"is {belief.holds}"
+    holds = "what is true is not observed" if belief.holds is None else f"is {belief.holds}"
     if belief.believed is None:
         return f"{about}: {'never told' if belief.was_told is False else 'what it was told is not observed'}; {holds}"
     age = "" if belief.age_s is None else f" ({belief.age_s:.3f} s old)"
@@ -317,7 +317,7 @@ class Steps:
     def _seq_at(self, text: str) -> int:
         time_us = microseconds("go", text)
         if time_us is None:
-            raise UsageError("go: found no time, expected one, as 46.6s")
+            raise UsageError("go: found no time, expected one, such as 46.6s")
         return self._timeline.seq_at(time_us)
 
 
@@ -353,7 +353,7 @@ def _walkthrough(
     ledger: "Ledger",
     run: str,
     at: Time = None,
-    script: str | None = declare("MOVES", "Moves with ; between them, instead of keys."),
+    script: str | None = declare("MOVES", "Moves separated by ; instead of keys."),
     walk: Annotated["Callable[[Steps, str], None] | None", Gives("walk")] = None,
 ) -> Walkthrough:
     if script is None and walk is None:
@@ -370,7 +370,7 @@ def _walkthrough(
 def step(
     ledger: "Ledger",
     run: OneRunOption,
-    at: Time = declare("TIME", "Begin there: 46.6, 46.6s or 46600ms.", "event 0"),
+    at: Time = declare("TIME", "Start at this time: 46.6, 46.6s or 46600ms.", "event 0"),
 ) -> Steps:
     """Walk through a run event by event, with the record and the state of the fleet at each.
 

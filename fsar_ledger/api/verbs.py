@@ -277,7 +277,7 @@ SIDE = (
 )
 FirstOption = Annotated[str | None, Option("--first", "NAME", SIDE, "the first of two")]
 SecondOption = Annotated[
-    str | None, Option("--second", "NAME", "The same; of OTHER, if it is given.", "the other of two")
+    str | None, Option("--second", "NAME", "As --first; from OTHER, if it is given.", "the other of two")
 ]
 OtherArgument = Annotated["Ledger | Place | None", argument("OTHER", "The ledger of the second side.", "the same")]
 OneRunOption = Annotated[
@@ -298,20 +298,20 @@ KeyOption = Annotated[
     Option(
         "--key",
         "FILE",
-        "Sign with this key, of `fsar-ledger key new`.",
+        "Sign with this key, made by `fsar-ledger key new`.",
         "leave the ledger unsigned",
         environment="FSAR_LEDGER_KEY",
     ),
 ]
 AdoptOption = Annotated[
-    bool, Option("--adopt", None, "Continue a ledger that another key signed, or none; verify it first.")
+    bool, Option("--adopt", None, "Allow signing on top of commits that this key did not sign; verify them first.")
 ]
 WorkersOption = Annotated[
     int | None,
     Option(
         "--workers",
         "N",
-        "Processes at once; the answer is the same for any number.",
+        "Number of processes; the answer does not depend on it.",
         "one per core, if there is enough to do",
     ),
 ]

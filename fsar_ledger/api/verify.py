@@ -116,8 +116,8 @@ class Verification(Answer, msgspec.Struct, frozen=True):
             ]
         if replay.ok:
             makers = (
-                "the handlers make them in the world on record; whether it was the world of the seed, this does not "
-                "tell"
+                "the handlers make them in the recorded world; this does not show whether that was the world of the "
+                "seed"
                 if self.is_recorded
                 else "the world and the handlers make them"
             )
@@ -139,7 +139,7 @@ class Verification(Answer, msgspec.Struct, frozen=True):
         if not self.report.ok:
             return [f"{self.path}: not compared with its fleet, as its rows are in doubt"]
         if not fleet.ok:
-            return [f"{self.path}: its fleet's ledger says otherwise; do not rely on what is said of a robot alone"]
+            return [f"{self.path}: its fleet's ledger disagrees; do not rely on what it says about a robot alone"]
         agreed = f"{counted(fleet.runs, 'founding')} and {counted(fleet.handed_over, 'hand-over')}"
         return [f"compared with its fleet: {agreed} are as both ledgers have them"]
 
@@ -166,14 +166,12 @@ def verify(
         "as it is or before it grew.",
     ),
     cosigned: Sequence[Place] = declare(
-        "FILE", "With --witness-policy: ask nobody, and take what this note shows; may be repeated.", value=()
+        "FILE", "With --witness-policy: use this note instead of asking; may be repeated.", value=()
     ),
-    replay: bool = switch(
-        "Also play every run again: each recorded decision must be what the handlers decide from the recorded world."
-    ),
+    replay: bool = switch("Also replay every run: its world and its decisions must come out as recorded."),
     recorded: bool = switch("With --replay: take what the world did and answered from the ledger, not from the seed."),
     of: Place | None = declare(
-        "LEDGER", "Also compare what a robot alone went on from, and handed over, with this ledger of its fleet."
+        "LEDGER", "Also compare where a robot alone began, and what it handed over, with this ledger of its fleet."
     ),
     workers: WorkersOption = None,
     progress: Annotated[Progress | None, Shows("verified", "segments", {"replay": "verified and replayed"})] = None,
@@ -181,9 +179,9 @@ def verify(
 ) -> Verification:
     """Check a ledger: derive every hash, count and record again from its rows.
 
-    Where something does not hold, each place is named and the exit code is 3. No ledger can show by itself that all of
-    it was rewritten, or that its newest commits were removed. For that, give a trusted key and an anchor (a copy of
-    LEDGER/checkpoint that was kept elsewhere), or ask witnesses, who keep one. A check of all rows that finds nothing
+    Every fault is named with its place, and the exit code is then 3. No ledger can show by itself that all of it was
+    rewritten, or that its newest commits were removed. For that, give a trusted key and an anchor (a copy of
+    LEDGER/checkpoint that was kept elsewhere), or ask witnesses, who keep one. A check of all rows that finds no fault
     is remembered in the user's cache, never in the ledger; answers from this head are then `rows_verified`.
 
     Raises:
@@ -196,7 +194,9 @@ def verify(
     from fsar_ledger.witness.answers import answers_of
 
     if recorded and not replay:
-        raise UsageError(f"{option('recorded')}: expected it with {option('replay')}, of which it says in which world")
+        raise UsageError(
+            f"{option('recorded')}: expected it with {option('replay')}, since it chooses the world of the replay"
+        )
     if quick and of is not None:
         raise UsageError(f"{option('quick')} and {option('of')}: expected one of them; a quick look reads no rows")
     if quick and replay:

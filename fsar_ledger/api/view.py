@@ -86,7 +86,7 @@ def view(
         "RUN", "A run: its number, its name, or a part of it that no other run has.", "the first run", complete="runs"
     ),
     second: Run | None = declare(
-        "RUN", "Show this run, too, below the other; their first difference is marked.", complete="runs", flag="--with"
+        "RUN", "Also show this run, below the other; their first difference is marked.", complete="runs", flag="--with"
     ),
     other: "Ledger | Place | None" = declare("LEDGER", "The ledger that holds the run of --with.", "LEDGER"),
 ) -> Picture:

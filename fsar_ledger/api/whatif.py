@@ -116,7 +116,7 @@ def _fork_or_list(
     run: Run | None = None,
     answers: str | None = None,
     all_runs: bool = switch("Fork every simulated run."),
-    lists: bool = switch("List what changes of the run can name.", flag="--list"),
+    lists: bool = switch("List what a change of the run can name.", flag="--list"),
     architecture: Names = None,
     out: Place | None = None,
     progress: Progress | None = None,
@@ -143,7 +143,7 @@ def _fork_or_list(
     "whatif out/ledger --run 1 --list",
     call=_fork_or_list,
     takes=("cluster", *WIDE),
-    after_interruption="what is committed stays; the same call again makes what is missing",
+    after_interruption="what is committed is kept, and the same command makes what is missing",
 )
 def whatif(
     ledger: "Ledger",
@@ -153,17 +153,17 @@ def whatif(
     answers: AnswersOption = None,
     architecture: ArchitectureOption = None,
     out: Place | None = declare("LEDGER", "Store each fork beside its base in this ledger.", "nowhere"),
-    progress: Annotated[Progress | None, Shows("played", "forks")] = None,
+    progress: Annotated[Progress | None, Shows("simulated", "forks")] = None,
 ) -> WhatIf:
     """Fork runs with a change, and show what it does: in one run, or over all in pairs.
 
-    A fork repeats its run up to the change and plays on under the same draws, so that nothing differs but what the
+    A fork repeats its run up to the change and continues with the same draws, so that nothing differs but what the
     change does. Changes are `drop FACT`, `move FACT +5s`, `add KIND:WHO TIME for TIME`, `answer QUESTION ANSWER`,
     `rule`, `trust`, `budget`, `density`, `set NAME=VALUE`, `architecture NAME`, `without MECHANISM`; docs/replay.md has
     each. The table has every metric in base and fork; over all runs, the difference with a 95 % interval, how many
     pairs differ, p, and how many times as many independent runs would be as precise (gain).
 
-    The fork of a live run repeats its commands, and ends where it asks something that none of them answers, unless a
+    The fork of a live run repeats its commands. It ends where it asks something that none of them answers, unless a
     change or the model of --answers does.
 
     Raises:
@@ -220,12 +220,12 @@ def without_effect(view: "View", runs: Sequence[str], changes: "Changes") -> Usa
     from fsar_ledger.analysis import whatif as forks
     from fsar_ledger.ledger.store.locations import record_of
 
-    others = f"none of {len(runs):,} does anything else" if len(runs) > 1 else ""
+    others = f"none of {len(runs):,} changes" if len(runs) > 1 else ""
     try:
         forks.fork_of(view, record_of(view, runs[0]), changes)
     except UsageError as why:
         return UsageError(f"{why}{forks.of_run(runs[0], others)}")
-    return UsageError(f"none of {len(runs):,} runs does anything else with these changes; expected some effect")
+    return UsageError(f"none of {len(runs):,} runs changes with these changes; expected some effect")
 
 
 def _of_one(pair: "Pair", texts: tuple[str, ...], provenance: "Provenance", path: Path | None) -> WhatIf:
@@ -247,7 +247,7 @@ def _of_one(pair: "Pair", texts: tuple[str, ...], provenance: "Provenance", path
 
 
 def fork(ledger: "Ledger", run: Run, changes: Texts) -> Fork:
-    """Fork a run: repeat it up to the first change, and play on under the same draws. Nothing is stored.
+    """Fork a run: repeat it up to the first change, and continue with the same draws. Nothing is stored.
 
     The run is a simulated one of this model version, or a live one. Changes are texts such as `drop window:fleet/B1/0`,
     or the names of `.toml` files; none gives a null fork.
@@ -295,7 +295,7 @@ def _end(divergence: "Divergence") -> Iterator[str]:
             counted(len(divergence.left_out), "command"),
             map(printable.value, dict.fromkeys(divergence.left_out)),
         )
-        yield f"not given there, since nothing asks for that: {count} on record, {printable.list_few(names)}"
+        yield f"not given there, because nothing asks for it: {count} on record, {printable.list_few(names)}"
     if divergence.ends is not None:
         yield f"the fork ends at {divergence.ends_s:.3f} s: {printable.value(divergence.ends, 1_000)}"
         if divergence.question is not None:
@@ -313,7 +313,7 @@ def refusals(found: "Sequence[RefusedChange]", pairs: int) -> Iterator[str]:
         reasons[reason] = reasons.get(reason, 0) + refused.pairs
     counts = list(reasons.items())
     for reason, count in counts[: printable.NAMED]:
-        yield f"in {count:,} of {pairs:,} a change comes to nothing: {printable.value(reason, 1_000)}"
+        yield f"in {count:,} of {pairs:,} a change has no effect: {printable.value(reason, 1_000)}"
     if more := counts[printable.NAMED :]:
         yield f"in {sum(count for _, count in more):,} of {pairs:,} for other reasons, which --json has"
 

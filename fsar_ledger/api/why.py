@@ -28,7 +28,7 @@ INDENT = "    "
 _ORIGINS = {
     "founding": "the run begins with it",
     "world": "a fact of the world",
-    "command": "it came from outside, and the record says no more of why",
+    "command": "it came from outside; the record says no more about why",
 }
 """The description of an event that no handler decided, by origin."""
 
@@ -99,7 +99,7 @@ def _explain_or_list(
         "RUN", "With --verdict: the run, by number, name, or a part of it that no other run has.", complete="runs"
     ),
     verdict: str | None = declare(
-        "KIND", "Instead of an event: list violation, conflict, late, unattributed, or an invariant, as i4."
+        "KIND", "Instead of an event: list violation, conflict, late, unattributed, or an invariant, such as i4."
     ),
 ) -> Answer:
     from fsar_ledger.ledger.store.locations import whole_of
@@ -126,7 +126,7 @@ def _explain_or_list(
         found=verdicts(ledger, name, f"{verdict}"),
         time="time_s",
         nothing=f"{verdict}",
-        unseen="not all that it rests on was observed",
+        unseen="not everything that it rests on was observed",
         hint=hint,
         undrawn="found no event to draw, expected EVENT without --verdict",
         about={"verdict": verdict},
@@ -149,16 +149,16 @@ def why(
     *,
     depth: int | None = declare(
         "N",
-        "1: how the event came about; 2: and how the events came about that it rests on; and so on.",
+        "1: how the event came about; 2: also how the events behind it came about; and so on.",
         least=1,
         value=2,
     ),
 ) -> Why:
     """Say why an event happened: what triggered it, what the decision read, and what was answered.
 
-    The run is made again, and the decision watched while it reads the state: every field and key, also those that were
-    not there, each with the event that last wrote it. With --verdict, list the verdicts of a kind on a run (a start
-    against policy, a conflict of authority, a late task, a record without a principal) and the events that made each.
+    The run is replayed, and the decision is watched while it reads the state: every field and key, also missing ones,
+    each with the event that last wrote it. With --verdict, list the verdicts of a kind on a run (a start against
+    policy, a conflict of authority, a late task, a record without a principal) and the events behind each.
 
     Raises:
         UsageError: There is no such event, or the run cannot be made again, or not as it is recorded.
@@ -255,7 +255,7 @@ class Tree:
         yield self._line(self._found.seq)
         if self._found.triggers:
             yield ""
-            yield "triggers, the last one first"
+            yield "triggers, newest first"
             yield from (self._line(seq) for seq in self._found.triggers)
         yield ""
         yield from self._origin(self._found.made[0], "")
@@ -289,7 +289,7 @@ class Tree:
             if seq is not None:
                 yield from self._below(trace, seq, "read of", reads, indent)
         if unwritten:
-            yield f"{indent}read, and nothing had written it"
+            yield f"{indent}read before anything had written it"
             yield from (f"{indent}{INDENT}{read}" for read in unwritten)
 
     def _below(self, above: "DecisionTrace", seq: int, how: str, reads: Sequence[str], indent: str) -> Iterator[str]:
@@ -302,7 +302,7 @@ class Tree:
             return
         if trace.seq in self._told or self._under[trace.seq] != above.seq:
             parent = self._under[trace.seq]
-            yield f"{deeper}(told under {self._found.seq if parent == self._found.made[0].seq else parent})"
+            yield f"{deeper}(shown under {self._found.seq if parent == self._found.made[0].seq else parent})"
         else:
             yield from self._origin(trace, deeper + INDENT if reads else deeper)
 

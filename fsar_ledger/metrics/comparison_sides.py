@@ -260,7 +260,7 @@ def chosen(
         first, second = _of_one(firsts, first, second, places[0])
         if first.side == second.side:
             raise UsageError(
-                f"{places[0]}: found {first} as both sides, expected two that differ; it holds {_listed(firsts)}"
+                f"{places[0]}: found {first} as both sides, expected two different ones; it holds {_listed(firsts)}"
             )
         return first, second
     if first is None and second is None:

@@ -19,7 +19,7 @@ STUDIES = ("ranking", "calibration", "ensemble", "predictions", "comparison", "s
 """The studies whose results are files."""
 
 OutOption = Annotated[Place, Option("--out", "FILE", "The result, as JSON; replaced if it exists.")]
-GOES_ON = "finished evaluations are kept beside --out, and the same command continues there"
+GOES_ON = "finished evaluations are kept beside --out, and the same command continues from there"
 Points = Annotated[Progress | None, Shows("evaluated", "points")]
 
 

@@ -124,7 +124,7 @@ def test_what_a_run_does_not_observe_is_not_said_to_be_of_the_other_alone() -> N
     text = "".join(diff_text(told, ("first", "second"), Screen()))
     assert "only first: policy violation" not in text
     assert "first: policy violation at " in text
-    assert "; second does not observe what would tell" in text
+    assert "; second does not observe what it rests on" in text
     nothing = replace(silent, events=events[:-1], times_us=silent.times_us[:-1], caused_by=causes[:-1])
     assert "no task is on record in either" in "".join(
         diff_text(difference_of(silent, nothing, ()), ("first", "second"), Screen())

@@ -79,7 +79,7 @@ def test_a_command_of_a_simulated_run_is_one_of_its_facts_and_answers(ledger: fs
         provenance=ledger.runs().provenance,
     )
     text = "".join(found.text(Screen(ledger)))
-    assert "1 of 60 facts and answers suffices; without it there is no such outcome" in text
+    assert "1 of 60 facts and answers suffices; without it the outcome does not occur" in text
     assert "task:A1-1, task:A1-2 are presupposed: without any one of them, there is no value to compare" in text
 
 

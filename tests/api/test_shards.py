@@ -234,7 +234,7 @@ def test_of_two_who_record_at_once_one_is_told_to_look_again(
         return mine
 
     monkeypatch.setattr(opening, "present", late)
-    with pytest.raises(SequenceConflict, match="the log has grown meanwhile"):
+    with pytest.raises(SequenceConflict, match="the log has meanwhile grown"):
         fsar_ledger.shards(site_copy / "log")
     assert open_ledger(site_copy / "log").head.size == 4
     assert "and more" in fsar_ledger.open_ledger(site_copy / "log").numbers()

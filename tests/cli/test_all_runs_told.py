@@ -63,7 +63,7 @@ def test_what_is_refused_in_some_runs_is_counted_with_its_reason_and_parts_none_
 ) -> None:
     out = call("whatif", fleets, "--all-runs", "--change", OF_EIGHT).good().out
     assert "fsar:full@A/4: 2 pairs, 0 of them diverge" in out
-    assert out.count(f"\nin 2 of 2 a change comes to nothing: {UNKNOWN}\n") == 1
+    assert out.count(f"\nin 2 of 2 a change has no effect: {UNKNOWN}\n") == 1
     told = json.loads(call("whatif", fleets, "--all-runs", "--change", OF_EIGHT, "--json").good().out)
     assert [(one["refused"], one["parts_at"] is None) for one in told["forks"]] == [
         *([(UNKNOWN, True)] * 2),
@@ -71,7 +71,7 @@ def test_what_is_refused_in_some_runs_is_counted_with_its_reason_and_parts_none_
     ]
     assert [one["refused"] for one in told["effects"]] == [[{"reason": UNKNOWN, "pairs": 2}], []]
     bisected = ("bisect", fleets, "--change", OF_EIGHT, "--outcome", VIOLATED)
-    assert f"\nin 2 of 4 a change comes to nothing: {UNKNOWN}\n" in call(*bisected).good().out
+    assert f"\nin 2 of 4 a change has no effect: {UNKNOWN}\n" in call(*bisected).good().out
     assert json.loads(call(*bisected, "--json").good().out)["refused"] == [{"reason": UNKNOWN, "pairs": 2}]
 
 

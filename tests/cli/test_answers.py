@@ -87,7 +87,7 @@ def test_info_tells_a_complete_ledger_from_one_that_lacks_runs(call: Call, ledge
     partial = json.loads(call("info", uneven, "--json").out)
     assert partial["is_complete"] is True  # each was planned so
     assert {group["architecture"]: group["runs_to_rectangle"] for group in partial["groups"]} == {"fsar": 0, "cfc": 1}
-    assert "not a rectangle: 1 run less than if each group had all runs" in call("info", uneven).out
+    assert "not a rectangle: 1 run fewer than if each group had all runs" in call("info", uneven).out
 
 
 @pytest.mark.slow

@@ -46,8 +46,7 @@ def test_the_footer_counts_for_each_architecture_and_names_the_ledger(call: Call
     ]
     first = next(row["invariant"] for row in rows if row["holds"] is False)
     assert (
-        footer[-1]
-        == f"`fsar-ledger query {first} {ledger}` lists every offending event of the first that does not hold"
+        footer[-1] == f"`fsar-ledger query {first} {ledger}` lists all offending events of the first broken invariant"
     )
 
 

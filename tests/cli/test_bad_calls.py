@@ -197,10 +197,10 @@ def test_after_ctrl_c_each_command_says_what_is_left(call: Call, monkeypatch: py
 
     monkeypatch.setattr(app, "_commands", lambda: SimpleNamespace(main=interrupted))
     left = {
-        "simulate": "the same command continues there",
-        "reproduce": "the same command continues there",
+        "simulate": "the same command continues from there",
+        "reproduce": "the same command continues from there",
         "maintain recover": "run it again",
-        "study run sensitivity": "the same command continues there",
+        "study run sensitivity": "the same command continues from there",
     }
     one_message(call(*command.split(), "x"), 130, "interrupted; ", left.get(command, "nothing was changed"))
 

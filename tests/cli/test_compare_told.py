@@ -17,8 +17,8 @@ def test_metrics_whose_t_test_counts_fewer_pairs_than_that_of_statistics_are_nam
     every = structs.replace(row, metric="governance_locality", test="paired t", n=100, differing_pairs=100)
     said = [line for line in _how_to_read(structs.replace(found, rows=[fewer, every])) if "degrees of freedom" in line]
     assert said == [
-        "paired t has as many degrees of freedom as pairs differ, less one; `statistics` counts every pair, so that "
-        "its p differs: authority_conflicts"
+        "paired t: the degrees of freedom are the differing pairs minus one; `statistics` counts all pairs, so its p "
+        "differs: authority_conflicts"
     ]
     assert not [line for line in _how_to_read(structs.replace(found, rows=[every])) if "degrees of freedom" in line]
 
@@ -32,7 +32,7 @@ def test_what_holm_adjusts_together_is_said_of_each_kind_of_metric(ledger: Path)
         return _how_to_read(structs.replace(found, rows=made))[0].partition("all pairs")[2]
 
     of_paper, further = ("authority_conflicts", 8, 0.04), ("missed_reviews", 1, 0.04)
-    alone = "each metric that the paper does not print by itself"
+    alone = "separately each metric that the paper does not print"
     assert told(of_paper, further) == f"; Holm adjusts 8 tests together and {alone}"
     assert told(further) == f"; Holm adjusts {alone}"
     assert told(of_paper, ("policy_violations", 6, 0.04)) == "; Holm adjusts 6 to 8 tests of a seed together"

@@ -76,7 +76,7 @@ def test_a_ledger_with_all_that_was_planned_is_complete(call: Call, ledger: Path
     names = ("planned_count", "there_count", "missing_count", "run_count", "continues_with")
     assert [plan[name] for name in names] == [12, 12, 0, 2, None]
     assert plan["scenarios"] == ["door-relay", "failure-recovery-chain"]
-    assert "12 runs, complete: all that was planned is there" in said(call, ledger)
+    assert "12 runs, complete: all planned runs are there" in said(call, ledger)
 
 
 @pytest.mark.slow
@@ -95,7 +95,7 @@ def test_an_interrupted_experiment_is_not_complete_and_the_call_that_goes_on_is_
         f"fsar-ledger simulate '{path}' --architecture cfc --architecture fsar --scenario door-relay --runs 3 --seed 5"
     )
     assert (
-        f"2 of 6 runs of door-relay x 3 runs x cfc, fsar, seed 5, 4 robots; go on with: {plan['continues_with']}\n"
+        f"2 of 6 runs of door-relay x 3 runs x cfc, fsar, seed 5, 4 robots; continue with: {plan['continues_with']}\n"
         in said(call, path)
     )
     made = call(*shlex.split(plan["continues_with"])[1:], "--json")
@@ -184,8 +184,8 @@ def test_two_shapes_in_one_ledger_are_two_plans_and_both_are_complete(call: Call
     assert [plan["planned_count"] for plan in found["plans"]] == [3, 1]
     assert {group["architecture"]: group["runs_to_rectangle"] for group in found["groups"]} == {"fsar": 3, "cfc": 5}
     text = said(call, tmp_path / "ledger")
-    assert "4 runs, complete: all that was planned is there" in text
-    assert "not a rectangle: 8 runs less" in text
+    assert "4 runs, complete: all planned runs are there" in text
+    assert "not a rectangle: 8 runs fewer" in text
     assert "enlarged: " not in text
 
 
@@ -210,7 +210,7 @@ def test_two_parameter_sets_are_told_apart_and_the_constants_named(call: Call, t
     assert found["is_complete"] is False
     text = said(call, tmp_path / "ledger")
     assert (
-        "1 of 2 runs of door-relay x 2 runs x fsar, seed 42, 4 robots; go on with the version and the "
+        "1 of 2 runs of door-relay x 2 runs x fsar, seed 42, 4 robots; continue with the version and the "
         "constants that began it" in text
     )
     assert f"constants A: simulated, model version 3, 3 runs: {OURS}\n" in text
@@ -248,7 +248,7 @@ def test_runs_that_were_not_simulated_are_in_no_plan_and_nothing_is_said_of_what
     assert (found["is_complete"], found["runs"], found["runs_unplanned"]) == (None, 4, {"live": 2})
     text = said(call, tmp_path / "ledger")
     assert "planned runs: complete" in text
-    assert "other runs: 2 live; no plan names them, so nothing says whether they are all that was meant" in text
+    assert "other runs: 2 live; no plan names them, so nothing shows whether any are missing" in text
 
 
 def test_runs_of_another_system_have_no_model_and_no_rectangle(call: Call, tmp_path: Path) -> None:
@@ -283,7 +283,7 @@ def test_runs_say_when_they_begin_where_they_know_it(call: Call, tmp_path: Path)
     }
 
 
-@pytest.mark.parametrize(("numbers", "shape"), [((0, 1), "a rectangle"), ((0, 2), "not a rectangle: 1 run less")])
+@pytest.mark.parametrize(("numbers", "shape"), [((0, 1), "a rectangle"), ((0, 2), "not a rectangle: 1 run fewer")])
 def test_a_ledger_without_a_plan_is_never_complete(
     call: Call, tmp_path: Path, numbers: tuple[int, ...], shape: str
 ) -> None:
@@ -294,7 +294,7 @@ def test_a_ledger_without_a_plan_is_never_complete(
     found = info(call, tmp_path / "ledger")
     assert (found["is_complete"], found["plans"], found["runs_unplanned"]) == (None, [], {"simulated": 2})
     text = said(call, tmp_path / "ledger")
-    assert "2 runs; no plan is on record, so nothing says whether they are all that was meant" in text
+    assert "2 runs; no plan is on record, so nothing shows whether any are missing" in text
     assert shape in text
     assert "complete" not in text
 
@@ -322,7 +322,7 @@ def test_an_enlarged_ledger_says_so_and_fewer_runs_are_nothing_to_do(call: Call,
     call("simulate", tmp_path / "ledger", *options, 2)
     assert "enlarged: " not in said(call, tmp_path / "ledger")
     assert (
-        "made 1 run; 2 of the 3 asked for were already there" in call("simulate", tmp_path / "ledger", *options, 3).out
+        "made 1 run; 2 of the 3 requested were already there" in call("simulate", tmp_path / "ledger", *options, 3).out
     )
     assert "enlarged: 1 of 2 plans is part of a larger one; runs, run ids and metrics are as if" in said(
         call, tmp_path / "ledger"
@@ -330,15 +330,16 @@ def test_an_enlarged_ledger_says_so_and_fewer_runs_are_nothing_to_do(call: Call,
     before = info(call, tmp_path / "ledger")
     assert before["is_complete"] is True
     again = call("simulate", tmp_path / "ledger", *options, 1)
-    assert (again.code, again.out.splitlines()[-1]) == (0, "nothing to do: the 1 run asked for is there, and 2 more")
+    said_last = again.out.splitlines()[-1]
+    assert (again.code, said_last) == (0, "nothing to do: the 1 requested run is already there, and 2 more")
     assert info(call, tmp_path / "ledger") == before
 
 
 def test_runs_beyond_the_papers_experiment_are_told() -> None:
     made = SimulationResult(EMPTY_HEAD, runs_asked=300, runs_made=0, runs_held=301)
-    assert before(made) == ["nothing to do: the 300 runs asked for are there, and 1 more"]
+    assert before(made) == ["nothing to do: the 300 requested runs are already there, and 1 more"]
     assert beyond(made) == [
-        "the ledger holds 1 run beyond the 300 of the paper's experiment, and they are judged here, too"
+        "the ledger holds 1 run beyond the 300 of the paper's experiment, and they are also judged here"
     ]
     assert before(SimulationResult(EMPTY_HEAD, 20, 20, 30)) == ["made 20 runs, beside 10 of other experiments"]
     assert before(fresh := SimulationResult(EMPTY_HEAD, 20, 20, 20)) == beyond(fresh) == []

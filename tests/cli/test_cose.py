@@ -90,7 +90,7 @@ def test_python_takes_the_same_parameters(folder: Path, statement: Path, tmp_pat
     assert (proven.signature, proven.index) == ("signed", proof.index)
     with pytest.raises(UsageError, match=r"^format=cose: found no out, expected a new file"):
         ledger.prove("1:12", format="cose", key=folder / "fleet.key")
-    with pytest.raises(UsageError, match="found a key for a tlog-proof, which nobody signs, expected none"):
+    with pytest.raises(UsageError, match="found a key for a tlog-proof, which is not signed, expected none"):
         ledger.prove("1:12", key=folder / "fleet.key")
 
 

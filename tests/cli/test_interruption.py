@@ -53,7 +53,7 @@ def test_an_interrupted_simulation_can_be_continued(
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
     assert err.splitlines() == [
-        "fsar-ledger: interrupted; what is committed stays, and the same command continues there"
+        "fsar-ledger: interrupted; what is committed is kept, and the same command continues from there"
     ]
     assert call("verify", out).code == 0
     info = json.loads(call("info", out, "--json").out)
@@ -143,7 +143,7 @@ def test_an_interrupted_whatif_keeps_whole_pairs_and_the_same_call_goes_on(call:
         time.sleep(0.005)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
-    assert (process.returncode, "the same call again makes what is missing" in err) == (130, True), err
+    assert (process.returncode, "the same command makes what is missing" in err) == (130, True), err
     held = json.loads(call("info", out, "--json").out)
     runs = {group["changes"]: group["runs"] for group in held["groups"]}
     assert 0 < runs["drop window:*"] == runs[None] < 100

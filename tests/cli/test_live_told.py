@@ -61,8 +61,8 @@ def test_why_tells_the_handler_and_what_it_read_for_a_command_that_was_rejected(
     lines = call("why", hall, f"day:{seq}", "--depth", "2").good().out.splitlines()
     assert "decided by architectures.fsar.reports.report_start on ReportStart" in lines
     assert f"triggered by {seq - 1}  4.000 s  robot/B1: gives the command: ReportStart" in lines
-    assert "    it came from outside, and the record says no more of why" in lines
-    assert "    execution.actions: [t/2.1] = absent" in lines[lines.index("read, and nothing had written it") :]
+    assert "    it came from outside; the record says no more about why" in lines
+    assert "    execution.actions: [t/2.1] = absent" in lines[lines.index("read before anything had written it") :]
 
 
 @pytest.mark.slow
@@ -83,7 +83,7 @@ def test_what_if_tells_where_the_fork_ends_and_compares_nothing_after_it(call: C
     told = call("whatif", hall, "--run", "day", "--change", RULE).good().out
     assert "the fork ends at 12.000 s: nobody on record says whether robot/B1 takes t/2.2\n" in told
     assert '`--change "answer admission:t/2.2 ANSWER"` answers that; `--answers model:7` lets the model answer' in told
-    assert "not given there, since nothing asks for that: 4 commands on record, ReportStart of robot/B1" in told
+    assert "not given there, because nothing asks for it: 4 commands on record, ReportStart of robot/B1" in told
     assert "all tasks end alike" not in told
     assert "t     601.000001  completed  9.000003     -       -\n" in told
     answer = json.loads(call("whatif", hall, "--run", "day", "--change", RULE, "--json").good().out)
@@ -150,7 +150,7 @@ def test_what_a_change_can_name_is_listed(call: Call, hall: Path) -> None:
         (("whatif", "--all-runs", "--change", RULE, "--answers", "model:7"), "expected --run RUN of a live run"),
         (("whatif", "--all-runs", "--change", RULE), "found no simulated run that is not a fork itself"),
         (("whatif", "--run", "day", "--change", "architecture cfc"), "whose robots speak for themselves"),
-        (("cause", "--run", "day", "--outcome", "i3 > 0", "--futures", "9"), "nobody draws the futures of robots"),
+        (("cause", "--run", "day", "--outcome", "i3 > 0", "--futures", "9"), "the futures of real robots"),
         (("cause", "--run", "day", "--outcome", "i3 > 0"), "the run does not have it"),
     ],
 )
@@ -212,9 +212,9 @@ def test_the_cause_of_a_denial_is_unknown_where_nobody_says_how_the_run_would_go
     assert [one["name"] for one in told["unknown"]] == ["command:ReportWindow/0"]
     assert "command:ReportWindow/0" not in {one["name"] for one in told["elements"]}
     text = call("cause", hall, "--run", "night", "--outcome", DENIAL).out
-    assert "without any one of command:ReportWindow/0, something is asked that nobody on record answers" in text
+    assert "without any one of command:ReportWindow/0, the run asks something that the record does not answer" in text
     assert "`--answers model:7` lets the model answer" in text
-    assert "futures that avoid it" not in text
+    assert "futures that avoid" not in text
 
 
 @pytest.mark.slow

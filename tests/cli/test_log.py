@@ -92,7 +92,7 @@ def test_each_run_has_its_name_above_its_lines(call: Call, ledger: Path) -> None
 
 def test_it_says_that_nothing_happened(call: Call, ledger: Path) -> None:
     asked = ("--run", RUN, "--from", "0.5", "--to", "0.6")
-    assert call("log", ledger, *asked).out == "no such events\n"
+    assert call("log", ledger, *asked).out == "no matching events\n"
     assert call("log", ledger, *asked, "--json").out == ""
 
 

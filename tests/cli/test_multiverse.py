@@ -77,6 +77,6 @@ def test_a_ledger_in_which_nothing_can_be_ranked_says_so(call: Call, tmp_path: P
     call("simulate", tmp_path / "one", *SMALL[:2], "--architecture", "fsar", "--runs", "1", "--workers", "1").good()
     verdicts = call(*MULTIVERSE, tmp_path / "one", *ONE).out.split("\n\n")[2]
     assert verdicts.splitlines() == [
-        "whether FSAR is the best one: nothing to rank; that takes means of two architectures, one of them FSAR",
-        "whether the order of the architectures is ours: nothing to rank; that takes means of two architectures",
+        "whether FSAR is the best one: nothing to rank; this needs means of two architectures, one of them FSAR",
+        "whether the order of the architectures is ours: nothing to rank; this needs means of two architectures",
     ]

@@ -39,7 +39,7 @@ def test_audit_says_of_each_of_the_ten_that_it_is_not_observable_and_passes_none
     assert [line.split("_")[0] for line in rows] == ["i1", "i2", "i3", "i4", "i5", "a1", "a2", "a3", "a4", "a5"]
     assert all("not observable: " in line and "holds" not in line for line in rows)
     assert said.out.splitlines()[13] == "0 of 10 invariants hold"
-    assert "that is no pass" in said.out
+    assert "that is not a pass" in said.out
     assert said.code == 1
 
 
@@ -59,7 +59,7 @@ def test_an_invariant_without_a_case_is_no_pass_although_all_is_observed(call: C
     assert said.code == 1
     assert said.out.splitlines()[13] == "1 of 10 hold, 9 had no case"
     found = said.out.splitlines()[14]
-    assert found == "nothing to judge was on record for I2, I3, I4, I5, A1, A2, A3, A4, A5; that is no pass"
+    assert found == "the record has nothing to judge for I2, I3, I4, I5, A1, A2, A3, A4, A5; that is not a pass"
     assert [("no case" in line, "holds" in line) for line in said.out.splitlines()[2:12]] == [(False, True)] + [
         (True, False)
     ] * 9
@@ -112,13 +112,14 @@ def test_a_question_with_an_empty_answer_says_what_was_not_observed(call: Call, 
 
 def test_explain_does_not_say_that_there_were_no_requests(call: Call, members: Path) -> None:
     said = call("explain", members)
-    assert said.out.splitlines()[-1] == "no requests on record; not all that a request leaves was observed"
+    unseen = "not everything that a request leaves on record was observed"
+    assert said.out.splitlines()[-1] == f"no requests on record; {unseen}"
     assert "request (1 of 1 runs)" in said.err
 
 
 def test_info_names_what_no_answer_is_about(call: Call, members: Path) -> None:
     assert (
-        "not observed, so that no answer is about it: authority (1 of 1 runs), command (1 of 1 runs), "
+        "not observed, so no answer is about it: authority (1 of 1 runs), command (1 of 1 runs), "
         "execution (1 of 1 runs)" in call("info", members).out
     )
     found = json.loads(call("info", members, "--json").out)["not_observed"]
@@ -183,5 +184,7 @@ def test_state_step_and_log_name_alike_what_is_recorded_in_part(
         found = {one.partition(" (")[0] for one in said.err.partition("nothing about it: ")[2].split(", ")}
         assert {name for name in found if "execution" in name} == lacking, (verb, said.err)
         assert {one for one in found if one.startswith("fleet")} == set()
-    assert "running t/1 carry" in (shown := call("state", ledger, "--run", "day").out)
-    assert {one for one in shown.partition("nothing is said of it: ")[2].split(", ") if "execution" in one} == lacking
+    shown = call("state", ledger, "--run", "day").out
+    assert "running t/1 carry" in shown
+    unseen = shown.partition("not observed, so not shown: ")[2].split(", ")
+    assert {one for one in unseen if "execution" in one} == lacking

@@ -46,7 +46,7 @@ def segments_of(ledger: Path) -> list[str]:
 def test_a_whole_ledger_is_said_to_be_whole(call: Call, many: Path, tmp_path: Path) -> None:
     said = call("maintain", "recover", many)
     assert (said.code, said.err) == (0, "")
-    assert said.out.startswith(f"{many}: whole, there is nothing to mend\ntrusted\n  commits 0 to 3: ")
+    assert said.out.startswith(f"{many}: intact, nothing to repair\ntrusted\n  commits 0 to 3: ")
     assert "only --anchor" not in said.out
     assert "--anchor FILE does" in said.out
     anchored = call("maintain", "recover", many, "--anchor", shutil.copy(many / "checkpoint", tmp_path / "monday"))
@@ -74,7 +74,7 @@ def test_a_damaged_ledger_is_explained_and_continued(call: Call, copy: Path, man
     before = contents(copy)
     said = call("maintain", "recover", copy)
     assert (said.code, said.err) == (3, "")
-    assert said.out.startswith(f"{copy}: damaged at commit 2; nothing of it was changed\nfound\n  {lost}: commit 2")
+    assert said.out.startswith(f"{copy}: damaged at commit 2; it was not changed\nfound\n  {lost}: commit 2")
     for line in (
         "  commits 0 to 1: ",
         "  commit 2: the segment is missing",

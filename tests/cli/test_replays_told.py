@@ -75,7 +75,7 @@ def test_a_fork_is_told_kept_and_replays(call: Call, ledger: Path, tmp_path: Pat
     assert told["pairs"] == 1
     info = call("info", place).out
     assert "2 runs; no plan is on record" in info
-    assert "1 fork among them; the query forks says of which runs" in info
+    assert "1 fork among them; the query `forks` shows of which runs" in info
     assert "drop window:*" in info
     groups = json.loads(call("info", place, "--json").out)["groups"]
     assert {(group["changes"], group["runs_to_rectangle"]) for group in groups} == {("drop window:*", None), (None, 0)}
@@ -136,7 +136,7 @@ def test_forks_are_not_stored_in_the_ledger_of_their_bases(call: Call, ledger: P
 def test_a_cause_is_told_with_the_call_that_takes_it_away(call: Call, ledger: Path) -> None:
     answer = call("cause", ledger, "--run", "2", "--outcome", VIOLATED, "--futures", "3").good()
     assert "suffice together" in answer.out
-    assert "futures that avoid it, of 3" in answer.out
+    assert "futures that avoid the outcome, of 3" in answer.out
     assert "whatif " in answer.out
     told = json.loads(call("cause", ledger, "--run", "2", "--outcome", VIOLATED, "--futures", "0", "--json").out)
     assert told["elements"]
@@ -148,7 +148,7 @@ def test_where_nothing_is_a_cause_the_point_of_no_return_comes_first(call: Call,
     always = "coordination_success >= 0"
     answer = call("cause", ledger, "--run", "1", "--outcome", always, "--futures", "2").good()
     _, outcome, first, left, *rest = answer.out.splitlines()
-    assert (outcome, first) == (f"outcome: {always}", "no future avoids it, from the beginning on")
+    assert (outcome, first) == (f"outcome: {always}", "no future avoids it, even from the beginning")
     assert "is a cause" in left
     assert any("receives task" in line for line in rest)
     told = json.loads(call("cause", ledger, "--run", "1", "--outcome", always, "--futures", "0", "--json").out)

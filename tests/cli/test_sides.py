@@ -73,13 +73,13 @@ def test_recordings_are_in_no_pair_and_nobody_is_told_to_simulate_them(call: Cal
         with record(tmp_path / name, run=name, observes=["ExecutionStarted"]):
             pass
     told = call("compare", tmp_path / "hall", tmp_path / "yard")
-    assert "runs of a real fleet have none, and are in no pair: `fsar-ledger metrics` shows" in told.out
+    assert "runs of a real fleet have none and form no pairs: `fsar-ledger metrics` shows" in told.out
     assert "simulate" not in told.out
     assert told.out.splitlines()[0] == "first: recorder (1 run), foreign, recorder"
     assert told.out.splitlines()[-1] == "no constants are on record"
     one_message(call("compare", tmp_path / "hall"), 2, "found 1 side", "give a second ledger")
     bisected = call("bisect", tmp_path / "hall", tmp_path / "yard", *CALLED)
-    one_message(bisected, 2, "number; runs of a real fleet have none; `fsar-ledger diff` takes any two")
+    one_message(bisected, 2, "number; runs of a real fleet have none; `fsar-ledger diff` compares any two runs")
 
 
 def test_recordings_without_an_architecture_are_named_by_their_sources(call: Call, tmp_path: Path) -> None:
@@ -120,12 +120,12 @@ def test_bisect_and_compare_tell_alike_of_runs_without_a_partner(call: Call, tmp
 def test_of_several_runs_of_one_world_bisect_takes_none(call: Call, tmp_path: Path) -> None:
     twins = (begun("one", "fsar", 0), begun("other", "fsar", 0), begun("its pair", "cfc", 0))
     sides = ("--first", "fsar", "--second", "cfc")
-    left_out = "cannot be told from others: one side has several runs of one seed, scenario and number"
+    left_out = "cannot be told apart: one side has several runs of one seed, scenario and number"
     path = appended(tmp_path / "both", *twins, begun("next", "fsar", 1), begun("its pair, too", "cfc", 1))
     told = call("bisect", path, *sides, *CALLED).good()
-    assert "1 pair: 0 have it on both sides, 1 on neither" in told.out
+    assert "1 pair: 0 have the outcome on both sides, 1 on neither" in told.out
     assert f"left out: 2 pairs that {left_out}" in told.out
     assert f"left out: 2 pairs that {left_out}" in call("compare", path, *sides).out
     assert json.loads(call("bisect", path, *sides, *CALLED, "--json").out)["repeated"] == 2
     alone = call("bisect", appended(tmp_path / "twins", *twins), *sides, *CALLED)
-    one_message(alone, 2, "found 2 pairs, expected one that can be told from others")
+    one_message(alone, 2, "found 2 pairs in which one side has several runs of one seed, scenario and number")

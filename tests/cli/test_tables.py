@@ -272,7 +272,7 @@ def test_on_a_terminal_an_audit_is_a_line_a_verdict_and_names_the_first_events_a
 ) -> None:
     shown = on_a_terminal_here(80, "audit", ledger)
     verdicts, _, first = shown.partition("the first offending events")
-    assert f"{ledger} RUN:SEQ` takes them" in " ".join(first.replace("\n  | ", " ").split())
+    assert f"{ledger} RUN:SEQ`" in " ".join(first.replace("\n  | ", " ").split())
     rows, numbers = Ledger(ledger).audit().rows, Ledger(ledger).numbers()
     lines = [line.split() for line in verdicts.split("---\n")[1].splitlines() if line]
     assert [(name, word, int(cases)) for name, _, word, cases, _ in lines] == [

@@ -102,6 +102,6 @@ def test_an_anchor_that_is_the_checkpoint_of_the_ledger_itself_is_said_to_show_n
         called = call("verify", ledger, "--anchor", anchor, *quick)
         assert (called.code, "the anchor is this ledger's own checkpoint" in called.out) == (0, True)
         remarks = json.loads(call("verify", ledger, "--anchor", anchor, "--json", *quick).out)["remarks"]
-        assert "it shows nothing of the past" in remarks[0]
+        assert "it proves nothing about the past" in remarks[0]
     kept = shutil.copy(own, tmp_path / "kept")
     assert "own checkpoint" not in call("verify", ledger, "--anchor", kept, *quick).out

@@ -41,11 +41,11 @@ def test_an_event_is_told_with_its_triggers_reads_and_answers(call: Call, ledger
     lines = called.out.splitlines()
     assert lines[0].startswith(f"run 1, {RUN}")
     assert re.match(rf" +{request_seq} .* request: ", lines[2])
-    assert "triggers, the last one first" in lines
+    assert "triggers, newest first" in lines
     assert "decided by architectures.fsar.discovery.issue_request on IssueRequest" in lines
     assert any(line.startswith("asked network: message:") for line in lines)
     assert any(re.match(r"read of \d+  \d", line) for line in lines)
-    assert "read, and nothing had written it" in lines
+    assert "read before anything had written it" in lines
     assert f"`fsar-ledger prove {ledger} 1:{request_seq}` proves event {request_seq} to others" in lines
 
 
@@ -56,11 +56,11 @@ def test_how_an_event_came_about_is_told_once(call: Call, ledger: Path, request_
     decided = [one for one in told.made if one.origin in ("decision", "command")]
     assert len(re.findall("decided by ", deep)) == len(decided) > 5
     assert len(re.findall(r"a fact of the world", deep)) == sum(one.origin == "world" for one in told.made)
-    assert "(told under " in deep
+    assert "(shown under " in deep
     middle = call("why", ledger, f"1:{request_seq}", "--depth", "2").out
     assert {len(indent) for indent in re.findall("^( *)decided by ", middle, re.MULTILINE)} <= {0, 4, 8}
     shallow = call("why", ledger, f"1:{request_seq}", "--depth", "1").out
-    assert (shallow.count("decided by "), shallow.count("(told under ")) == (1, 0)
+    assert (shallow.count("decided by "), shallow.count("(shown under ")) == (1, 0)
 
 
 def test_what_a_kept_command_waited_for_is_told() -> None:
@@ -257,7 +257,7 @@ def test_a_live_run_is_refused_because_its_commands_are_not_stored(call: Call, l
 def test_a_verdict_that_was_not_observed_is_not_said_to_be_absent(call: Call, live: Path) -> None:
     for kind in ("late", "conflict", "i4"):
         called = call("why", live, "--run", "night", "--verdict", kind).good()
-        assert called.out.splitlines()[1] == f"no {kind} on record; not all that it rests on was observed"
+        assert called.out.splitlines()[1] == f"no {kind} on record; not everything that it rests on was observed"
 
 
 def test_a_plan_has_no_reasons(call: Call, ledger: Path) -> None:

@@ -37,7 +37,7 @@ def test_perfetto_is_the_trace_that_view_writes(ledger: fsar_ledger.Ledger, call
         ("--as xes --out OUT.json", ("--as xes", "expected delta, mcap, ocel, otlp or perfetto", "choose")),
         ("--as ocel --out OUT.mcap", ("OUT.mcap", "'.mcap'", "expected .json", "choose")),
         ("--as mcap --out OUT.json", ("OUT.json", "'.json'", "expected .mcap", "choose")),
-        ("--as delta --out OUT.json", ("OUT.json", "expected that of a new folder", "choose")),
+        ("--as delta --out OUT.json", ("OUT.json", "expected the name of a new folder", "choose")),
         ("--as delta --out TAKEN", ("TAKEN", "found something there", "expected a free path")),
         ("--as delta --run 1 --out OUT", ("--run 1", "whole segments", "leave the run out")),
         ("--as otlp --run 99 --out OUT.json", ("99", "expected")),

@@ -93,7 +93,7 @@ def test_two_runs_of_which_one_was_cut_are_not_one_trace(
             with_fields(next(open_ledger(halls[0].path).runs()), run_id="b"),
         ):
             writer.commit([with_fields(run, goes_on=True)])
-    with pytest.raises(UsageError, match="found 2 runs and none that is asked for"):
+    with pytest.raises(UsageError, match="found 2 runs, expected one"):
         fsar_ledger.Ledger(tmp_path / "two").export(tmp_path / "two.json", format="perfetto")
 
 

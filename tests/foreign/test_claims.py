@@ -158,7 +158,7 @@ def test_state_and_step_say_nothing_of_what_is_not_observed(ledgers: dict[str, P
     for called in (*said, walked):
         assert called.code == 0
         times = len(TIMES) if called is walked else 1
-        assert called.out.count(f"not observed, so that nothing is said of it: {concern}") == times
+        assert called.out.count(f"not observed, so not shown: {concern}") == times
         assert "idle" not in called.out or concern not in ("execution", "recovery")
 
 

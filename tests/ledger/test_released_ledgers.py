@@ -128,7 +128,7 @@ def test_constants_of_a_live_run_that_cannot_be_read_are_shown_as_such_and_stop_
     )
     assert run(["audit", str(path), "--invariant", "i4"]) in (0, 1)
     assert (
-        "1 run with parameters that cannot be read: their recovery budgets are unknown, and none is judged"
+        "1 run with unreadable parameters: their recovery budgets are unknown and are not judged"
         in capsys.readouterr().out
     )
     with connect(path) as database:

@@ -207,7 +207,7 @@ def test_an_anchor_needs_the_signature_of_the_trusted_key(path: Path, is_quick: 
         assert anchored(path, note, is_quick=is_quick).ok
         told = the_problem(anchored(path, note, is_quick=is_quick, key=SIGNER))
         assert f"found a checkpoint with {why}, expected one signed by {KEY.key}" in told
-        assert told.endswith("one of before the key changed is compared without trusted_key")
+        assert told.endswith("to compare one from before the key changed, leave out trusted_key")
 
 
 @pytest.mark.parametrize("data", [b"", b"monday", b"\xff", b"x" * 2_000_000, b"example.org/fsar-test\n24\nAAAA\n\n"])

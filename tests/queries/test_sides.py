@@ -221,7 +221,7 @@ def test_a_pair_whose_worlds_differ_or_are_not_known_is_left_out_and_named(other
         (None, None, "found 3 sides, expected two, or --first NAME and --second NAME"),
         ("fsar", None, "--second NAME to say which"),
         ("fsra", "cfc", "--first fsra: found no such runs in the ledger"),
-        ("cfc", "cfc/4", "as both sides, expected two that differ"),
+        ("cfc", "cfc/4", "as both sides, expected two different ones"),
         ("cfc", "fsar:full@Z", "--second fsar:full@Z: found no such runs"),
     ],
 )

@@ -312,7 +312,7 @@ def test_a_run_is_cut_at_the_end_of_each_shift(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("cut", ["", "weekly", "24:00", "06:00,,14:00", "06:00+01:00", "06:00Z"])
 def test_what_is_no_time_of_the_day_is_refused(tmp_path: Path, cut: str) -> None:
-    with pytest.raises(UsageError, match="expected daily, or times of the day"):
+    with pytest.raises(UsageError, match="expected daily, or times of day"):
         Day(tmp_path / "ledger", cut=cut)
     assert not (tmp_path / "ledger").exists()
 

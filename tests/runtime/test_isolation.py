@@ -250,7 +250,7 @@ def test_a_failure_alone_is_recorded_and_leaves_the_step_to_be_done(site: Site) 
 
 
 def test_a_robot_alone_goes_on_with_the_fleet_of_the_ledger_and_with_its_own_run(site: Site) -> None:
-    with pytest.raises(UsageError, match="isolated: found a fleet or settings beside it"):
+    with pytest.raises(UsageError, match="isolated: found a fleet or settings, expected only those of the ledger"):
         site.opened("a1", "A1", isolated=A, of=site.path / "hall", robots=4)
     site.hall.close()
     with pytest.raises(UsageError, match="run morning: found another run, expected that of robot/A1 alone"):

@@ -184,7 +184,7 @@ def test_verify_takes_the_world_from_the_ledger_or_from_the_seed(call: Call, tmp
         writer.append(stage(ledger, [feigned]))
     answer = call("verify", str(ledger), "--replay", "--recorded")
     assert answer.code == 0, answer.err
-    assert "as the handlers make them in the world on record" in answer.out
-    assert "whether it was the world of the seed, this does not tell" in answer.out
+    assert "as the handlers make them in the recorded world" in answer.out
+    assert "this does not show whether that was the world of the seed" in answer.out
     assert call("verify", str(ledger), "--replay").code == 3
     one_message(call("verify", str(ledger), "--recorded"), 2, "--recorded: expected it with --replay")

@@ -113,7 +113,7 @@ def test_a_file_that_is_on_file_under_another_name_is_said_to_be(call: Call, tmp
 
     night, other = vda.long_night(2), vda.long_night(3)
     assert said("night.jsonl", night) == said("second.jsonl", other) == []
-    assert said("copy.jsonl", night) == ["on file before, as run night: all counts twice"]
+    assert said("copy.jsonl", night) == ["recorded before, as run night: counts twice"]
     code, told, _ = call("import", out, str(tmp_path / "night.jsonl"), "--as", "vda5050", "--run", "again", "--json")
     assert (code, json.loads(told)["also"]) == (0, ["copy", "night"])
 

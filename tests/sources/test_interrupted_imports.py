@@ -160,7 +160,7 @@ def test_ctrl_c_ends_an_import_quietly_and_it_goes_on(call: Call, tmp_path: Path
         wait_for(tmp_path / "ledger", 5)
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=60)
-    assert (process.returncode, b"Traceback" in said, b"continues there" in said) == (130, False, True), said
+    assert (process.returncode, b"Traceback" in said, b"continues from there" in said) == (130, False, True), said
     imported(tmp_path / "ledger", filed(tmp_path, b"".join(lines)))
     assert record_numbers(tmp_path / "ledger") == list(range(1, 17))
 

@@ -169,7 +169,7 @@ def test_without_a_status_that_can_be_read_nothing_of_what_robots_do_is_observab
     file = filed(tmp_path, bags.written(messages), "night.mcap")
     said = call("import", tmp_path / "out", file, "--as", "mcap").good().out
     assert f"can be judged: {judged}\n" in said
-    assert ("said to be recorded, and never seen: " in said) == (judged != "nothing")
+    assert ("declared as recorded, but never seen: " in said) == (judged != "nothing")
 
 
 def test_the_command_of_the_page_does_what_it_says(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -87,7 +87,7 @@ def test_a_refused_line_is_said_when_it_is_refused_and_an_interruption_says_how_
         _, said = process.communicate(timeout=30)
     assert process.returncode == 130
     assert b"1 line was refused, and nothing of it is on record" in said
-    assert b"every event that was taken is on disk" in said
+    assert b"every accepted event is on disk" in said
 
 
 def test_a_flood_of_refused_lines_is_said_in_few_lines_and_none_is_left_out_of_the_count(tmp_path: Path) -> None:

@@ -62,7 +62,7 @@ def test_a_vehicle_that_is_not_of_the_fleet_breaks_i1(call: Call, tmp_path: Path
 @pytest.mark.slow
 def test_without_a_fleet_nothing_is_said_of_who_belongs_to_it(call: Call, tmp_path: Path) -> None:
     said = call("import", tmp_path / "ledger", filed(tmp_path, vda.honest_night()), "--as", "vda5050").good()
-    assert "not observable: I1, for want of RobotJoined" in said.out
+    assert "not observable: I1, because this is missing: RobotJoined" in said.out
     assert audited(call, tmp_path / "ledger")["i1"]["holds"] is None
 
 
