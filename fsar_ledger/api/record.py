@@ -217,7 +217,7 @@ class ImportResult(Answer, msgspec.Struct, frozen=True):
         yield f"can be judged: {', '.join(observable) or 'nothing'}"
         hidden = [gap for gap in self.gaps if not gap["is_observable"]]
         for gap in hidden[: printable.NAMED]:
-            yield f"not observable: {_short(gap['judge'])}, because this is missing: {gap['missing']}"
+            yield f"not observable: {_short(gap['judge'])} (missing: {gap['missing']})"
         if more := hidden[printable.NAMED :]:
             path = printable.word(self.ledger.path)
             yield f"and {len(more)} more; `fsar-ledger query record_gaps {path}` lists all"

@@ -77,8 +77,8 @@ def event_of(tag: object, columns: Mapping[str, Any]) -> Event:
         )
     if (outcome := OUTCOMES.get(kind)) is not None and outcome not in columns:
         raise UsageError(
-            f"field {outcome}: found none, expected one in {kind}, since how it ended is never assumed; what nobody "
-            "knows more of is an observation (Observed)"
+            f"field {outcome}: found none, expected one in {kind}, since how it ended is never assumed; record what is "
+            "known as an observation (Observed)"
         )
     event = laid_out(layout, columns)
     require_kinds(event)
@@ -130,7 +130,7 @@ def require_kinds(event: Event) -> None:
         if name != COORDINATOR:
             hint = value(f"{'supervisor' if column.startswith('supervis') else 'robot'}/{name}")
             found = f"found {value(name)} in {type(event).__name__}"
-            raise UsageError(f"field {column}: {found}, expected a kind and a name, as in {hint}")
+            raise UsageError(f"field {column}: {found}, expected a kind and a name, such as {hint}")
 
 
 def require_full_names(event: Event, robots: Collection[str]) -> None:
@@ -138,8 +138,8 @@ def require_full_names(event: Event, robots: Collection[str]) -> None:
     for column, name in _without_kind(event):
         if f"robot/{name}" in robots:
             raise UsageError(
-                f"field {column}: found {value(name)} in {type(event).__name__}, expected {value(f'robot/{name}')}, as "
-                "the fleet names it"
+                f"field {column}: found {value(name)} in {type(event).__name__}, expected {value(f'robot/{name}')}, "
+                "its name in the fleet"
             )
 
 
@@ -206,15 +206,15 @@ class _Refused:
         count = len(self.lines)
         if count < self._next:
             return
-        so_far = f"{count:,} lines refused so far, the last of them " if count > SAID_AT_ONCE else ""
+        so_far = f"{count:,} lines refused so far, the last: " if count > SAID_AT_ONCE else ""
         self._next = count + 1 if count < SAID_AT_ONCE else 2 * count
         self._say(f"{so_far}line {number}: {why}")
 
     def say_count(self) -> None:
         """Report how many lines were refused, if any were."""
-        were = "was refused, and nothing of it" if len(self.lines) == 1 else "were refused, and nothing of them"
+        were = "was" if len(self.lines) == 1 else "were"
         if self.lines:
-            self._say(f"{counted(len(self.lines), 'line')} {were} is on record")
+            self._say(f"{counted(len(self.lines), 'line')} {were} refused and not recorded")
 
 
 def tell(
@@ -237,7 +237,7 @@ def tell(
             except WriteFailed as error:
                 raise WriteFailed(
                     f"{error}; {counted(events, 'event')} of the lines before line {number} "
-                    f"{'is' if events == 1 else 'are'} on disk: give it what begins with that line"
+                    f"{'is' if events == 1 else 'are'} on disk: continue with that line"
                 ) from error
     except KeyboardInterrupt:
         refused.say_count()
@@ -275,7 +275,7 @@ def object_of(line: bytes, what: str) -> dict[str, Any]:
     Raises: UsageError if there is none, or if a key occurs twice, of which JSON readers would silently drop one.
     """
     if len(line) > MAX_LINE:
-        raise UsageError(f"found more than {MAX_LINE:,} bytes, expected one {what} a line")
+        raise UsageError(f"found more than {MAX_LINE:,} bytes, expected one {what} per line")
     try:
         document: dict[str, Any] = msgspec.json.decode(line, type=dict[str, Any])
         json.loads(line, object_pairs_hook=_require_once, parse_int=len, parse_float=len)

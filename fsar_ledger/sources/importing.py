@@ -67,11 +67,11 @@ class Imported(msgspec.Struct, frozen=True):
     def about_times(self) -> Iterator[str]:
         """Yield how many records with events are recorded at another time than their own, a line for each reason."""
         if self.undated:
-            yield f"tell no time: {counted(self.undated, 'record')} with events, dated as the one before"
+            yield f"without a time: {counted(self.undated, 'record')} with events, dated as the one before"
         if self.late:
             yield (
-                f"tell an earlier time than one before: {counted(self.late, 'record')} with events, by up to "
-                f"{self.late_us / 1e6:,.3f} s, dated as that one; sort the input first, unless it is in order of "
+                f"earlier than a record before: {counted(self.late, 'record')} with events, by up to "
+                f"{self.late_us / 1e6:,.3f} s, dated as that record; sort the input first, unless it is in order of "
                 "arrival"
             )
 
@@ -153,7 +153,7 @@ class _Import:
         if earlier.opened is None or earlier.opened.adapter.startswith(FORMAT):
             raise self._refused(
                 "a run into which events were recorded as they happened",
-                "one that holds imports alone; what is on file stays: give the import another name (--run)",
+                "one that holds only imports; what is on record is kept: give the import another name (--run)",
             )
         if earlier.opened.adapter.partition("/")[0] != self.adapter.name:
             raise self._refused(
@@ -164,7 +164,7 @@ class _Import:
         if earlier.is_closed and digest is not None and earlier.opened.input_sha256 == digest:
             raise self._refused(
                 f"the same input (SHA-256 {digest[:16]}...), with {earlier.records:,} records",
-                "one that is not on file; it is all there",
+                "one that is not yet on record; nothing is missing",
             )
         if earlier.opened.mapping_sha256 != opened.mapping_sha256:
             raise self._refused(
@@ -207,7 +207,7 @@ class _Import:
         if self.count < on_file:
             raise self._refused(
                 f"{self.count:,} records in the input",
-                f"the {on_file:,} on file and more; it is not the input that was imported, or it was cut short",
+                f"at least the {on_file:,} on record; it is not the input that was imported, or it was cut short",
             )
         if self.count == on_file:
             self._begin()
@@ -283,8 +283,8 @@ class _Import:
                 if kind in self.kinds:  # the run was begun by an adapter that did not declare it
                     continue
                 raise UsageError(
-                    f"record {self.count}: found {kind}, expected an event that {self.adapter.name} declares; mend the "
-                    "adapter"
+                    f"record {self.count}: found {kind}, expected an event that {self.adapter.name} declares; correct "
+                    "the adapter"
                 )
             if isinstance(item.event, RobotJoined) and item.event.robot in self.joined_by_fleet:
                 self.joined_by_fleet.remove(item.event.robot)  # the fleet's file names it
@@ -292,7 +292,7 @@ class _Import:
             try:
                 require_full_names(item.event, self.robots_of_fleet)
             except UsageError as error:
-                raise UsageError(f"record {self.count}: {error}; mend the mapping, or the fleet") from error
+                raise UsageError(f"record {self.count}: {error}; correct the mapping, or the fleet") from error
             cause = record_seq if item.cause is None else self.keys.get(item.cause, record_seq)
             event = storable(item.event)
             seq = self._put(self.last_us, cause, event)
@@ -362,7 +362,7 @@ class _Import:
     def _require_same(self, record: Record, known: str) -> None:
         if (found := sha256_hex(record.raw)) != known:
             raise self._refused(
-                f"another record {self.count:,} in the input (SHA-256 {found[:16]}...) than on file ({known[:16]}...)",
+                f"another record {self.count:,} in the input (SHA-256 {found[:16]}...) than before ({known[:16]}...)",
                 "the input that was imported, perhaps with more at its end; give another input another name (--run)",
             )
 

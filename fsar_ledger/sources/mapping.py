@@ -88,7 +88,7 @@ class Mapped:
         """Yield every line. Raises: UsageError if none of the first holds a JSON object."""
         files = list(inputs)
         records = (item if isinstance(item, Record) else self._record(*item) for item in objects(files))
-        return require_format(records, files, lambda item: item.data is not None, "one JSON object a line")
+        return require_format(records, files, lambda item: item.data is not None, "one JSON object per line")
 
     def _record(self, raw: bytes, data: dict[str, Any]) -> Record:
         mapping = self._mapping

@@ -98,7 +98,7 @@ class PrivateNames:
                 raise UsageError(f"{where}: found another commitment than that of the name and key")
             if commitments.setdefault(person.name, person.commitment) != person.commitment:
                 raise UsageError(
-                    f"{where}: found a second commitment to a name, expected one: they would be two persons; keep the "
+                    f"{where}: found a second commitment to a name, expected one: they would be two people; keep the "
                     "line whose commitment the ledger has, and the other elsewhere"
                 )
         return commitments

@@ -214,9 +214,9 @@ class Recorder:
         claims = {"fleet", "RobotJoined.supervisor"} & {*self.declared.observes, *self.declared.records}
         if claims and joined and isinstance(fleet, Mapping):
             raise UsageError(
-                f"{option('observes', min(claims))}: found a fleet with the roles alone of its robots, expected one "
-                f"that says who supervises each: record RobotJoined of each in place of {option('fleet')}, or observe "
-                "the types of events that are recorded completely"
+                f"{option('observes', min(claims))}: found a fleet with only the roles of its robots, expected one "
+                f"that says who supervises each: record RobotJoined for each instead of {option('fleet')}, or observe "
+                "only the event types that are recorded completely"
             )
         if joined and "RobotJoined" not in self.declared.kinds:
             self.declared = declared((*self.declared.observes, *self.declared.records, "RobotJoined"))
@@ -245,7 +245,7 @@ class Recorder:
         if self._names is None and stored.opened is not None and stored.opened.adapter == WITH_COMMITMENTS:
             raise UsageError(
                 f"run {value(self.run)}: found a run with commitments in place of the names of people, expected their "
-                f"table ({option('private_names')}); what is appended stays"
+                f"table ({option('private_names')}); nothing was changed"
             )
         if self._names is not None and stored.opened is not None and stored.opened.adapter == FORMAT:
             raise UsageError(
@@ -255,8 +255,8 @@ class Recorder:
         if robots and robots != stored.robots:
             raise UsageError(
                 f"run {value(self.run)}: found {counted(len(stored.robots), 'robot')} with which it began "
-                f"({_first(stored.robots)}), expected the same as now ({_first(robots)}); record RobotJoined of who "
-                "comes later, or give the run another name"
+                f"({_first(stored.robots)}), expected the same as now ({_first(robots)}); record RobotJoined for "
+                "robots that come later, or give the run another name"
             )
         recorded, wanted = {*kept.observes, *kept.records}, {*requested.observes, *requested.records}
         added = {"RobotJoined"} if stored.robots else set()  # by `_begin`

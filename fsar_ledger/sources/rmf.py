@@ -108,7 +108,7 @@ class Rmf:
             names, begins = ", ".join(value(item.name) for item in files), first[0].raw[:80].decode("utf-8", "replace")
             raise UsageError(
                 f"{names}: found {counted(len(first), 'record')}, the first of them {value(begins)}, and none is a "
-                'message of rmf_api_msgs; expected one message a line, such as {"type": "task_state_update", "data": '
+                'message of rmf_api_msgs; expected one message per line, such as {"type": "task_state_update", "data": '
                 "{...}}; if it is another format, name that (--as)"
             )
         yield from chain(first, records)

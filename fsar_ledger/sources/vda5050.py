@@ -130,7 +130,7 @@ class Vda5050:
         files = list(inputs)
         records = (item if isinstance(item, Record) else self._record(*item) for item in objects(files))
         unknown = (UNREADABLE, "unknown")
-        return require_format(records, files, lambda item: item.kind not in unknown, "messages of VDA 5050, one a line")
+        return require_format(records, files, lambda item: item.kind not in unknown, "VDA 5050 messages, one per line")
 
     def _record(self, raw: bytes, line: dict[str, Any]) -> Record:
         message = _message(line)

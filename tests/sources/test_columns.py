@@ -135,8 +135,9 @@ def test_a_wrong_line_is_refused_by_number_and_field_and_the_record_goes_on(
 def test_a_line_that_is_too_long_is_one_line(recorder: Recorder, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(columns, "MAX_LINE", 200)
     for size in (201, 202, 401, 402, 1_000):
-        assert refused(recorder, b"x" * size) == "found more than 200 bytes, expected one event a line"
-    assert tell(recorder, io.BytesIO(b"x" * 1_000)) == (0, {1: "found more than 200 bytes, expected one event a line"})
+        assert refused(recorder, b"x" * size) == "found more than 200 bytes, expected one event per line"
+    why = "found more than 200 bytes, expected one event per line"
+    assert tell(recorder, io.BytesIO(b"x" * 1_000)) == (0, {1: why})
 
 
 def test_blank_lines_are_counted_and_nothing_else(recorder: Recorder) -> None:
@@ -255,7 +256,7 @@ def test_who_is_named_without_a_kind_is_nobody_of_the_fleet_and_is_refused(kind:
     named = {"task_id": "t", "action_id": "t/1", "robot": "robot/A1", "capability": "pick", "role": "a"}
     known = {field.name for field in columns.LAYOUT_OF[kind].fields}
     named = {name: one for name, one in named.items() if name in known}
-    with pytest.raises(UsageError, match=f"field {column}: found A1 in {kind}, expected a kind and .* as in {meant}$"):
+    with pytest.raises(UsageError, match=f"field {column}: found A1 in {kind}, expected a kind .* such as {meant}$"):
         event_of(kind, {**named, column: "A1"})
     for principal in (meant, *([None, "coordinator"] if column.endswith("_by") else [])):
         event_of(kind, {**named, column: principal})

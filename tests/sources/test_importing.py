@@ -109,7 +109,7 @@ def test_a_file_that_is_on_file_under_another_name_is_said_to_be(call: Call, tmp
     def said(name: str, lines: list[vda.Line]) -> list[str]:
         code, told, _ = call("import", out, str(filed(tmp_path, lines, name)), "--as", "vda5050")
         assert code == 0
-        return [line for line in told.splitlines() if "on file before" in line]
+        return [line for line in told.splitlines() if "recorded before" in line]
 
     night, other = vda.long_night(2), vda.long_night(3)
     assert said("night.jsonl", night) == said("second.jsonl", other) == []
@@ -194,15 +194,15 @@ def test_a_run_into_which_something_was_recorded_takes_no_imports(tmp_path: Path
     with Recorder(tmp_path / "ledger", run="night", observes=() if imported_before else ["TaskArrived"]) as recorder:
         recorder.event("TaskArrived", task_id="by hand")
     before = rows(tmp_path / "ledger")
-    found = "run night: found a run into which events were recorded as they happened, expected one that holds imports"
-    with pytest.raises(UsageError, match=f"{found} alone; what is on file stays: give the import another name"):
+    found = "run night: found a run into which events were recorded as they happened, expected one that holds only"
+    with pytest.raises(UsageError, match=f"{found} imports; what is on record is kept: give the import another name"):
         imported(tmp_path / "ledger", filed(tmp_path, whole))
     assert rows(tmp_path / "ledger") == before
 
 
 def test_an_input_that_was_cut_short_is_refused(tmp_path: Path) -> None:
     imported(tmp_path / "ledger", filed(tmp_path, vda.long_night(2)))
-    with pytest.raises(UsageError, match=r"found 5 records in the input, expected the 16 on file and more"):
+    with pytest.raises(UsageError, match=r"found 5 records in the input, expected at least the 16 on record"):
         imported(tmp_path / "ledger", filed(tmp_path, vda.long_night(2)[:5]))
 
 

@@ -196,8 +196,8 @@ def test_what_is_dated_by_another_record_is_counted(tmp_path: Path) -> None:
     made = imported(tmp_path, [*lines, {"when": 1, "event": "battery"}], HEAD, ARRIVED)
     assert (made.undated, made.late, made.late_us) == (3, 1, 9_500_000)
     assert list(made.about_times()) == [
-        "tell no time: 3 records with events, dated as the one before",
-        "tell an earlier time than one before: 1 record with events, by up to 9.500 s, dated as that one; sort the "
+        "without a time: 3 records with events, dated as the one before",
+        "earlier than a record before: 1 record with events, by up to 9.500 s, dated as that record; sort the "
         "input first, unless it is in order of arrival",
     ]
 
@@ -330,7 +330,7 @@ def test_a_robot_of_the_fleet_without_its_kind_is_refused_and_not_told_as_a_stra
         lines = Input("log", None, io.BytesIO(data % robot))
         return import_files(tmp_path / "out", [lines], adapter(HEAD, *rules), run="log", fleet={"B1": "lift"})
 
-    with pytest.raises(UsageError, match=r"^record 1: field robot: found B1 in \w+, expected robot/B1, as the fleet"):
+    with pytest.raises(UsageError, match=r"^record 1: field robot: found B1 in \w+, expected robot/B1, its name"):
         imported(b"B1", bare)
     assert imported(b"robot/B1", bare).robots == ("robot/B1",)
 
@@ -350,7 +350,7 @@ def test_a_file_without_one_object_a_line_is_refused_and_no_ledger_is_made(
     (tmp_path / "acme.toml").write_text(HEAD + ARRIVED)
     (tmp_path / "log.jsonl").write_bytes(content)
     assert run(["import", "out", "log.jsonl", "--with", "acme.toml"]) == 2
-    assert "expected one JSON object a line" in capsys.readouterr().err
+    assert "expected one JSON object per line" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

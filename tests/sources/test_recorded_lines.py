@@ -86,7 +86,7 @@ def test_a_refused_line_is_said_when_it_is_refused_and_an_interruption_says_how_
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert b"1 line was refused, and nothing of it is on record" in said
+    assert b"1 line was refused and not recorded" in said
     assert b"every accepted event is on disk" in said
 
 
@@ -111,7 +111,7 @@ def is_begun(ledger: Path) -> bool:
         ("robot/", "field robot: found 'robot/' in TaskArrived, expected a name"),
         ("/A1", "field robot: found '/A1' in TaskArrived, expected a name"),
         ("robot/ ", "field robot: found 'robot/ ' in TaskArrived, expected a name"),
-        ("A1", "field robot: found A1 in TaskArrived, expected a kind and a name, as in robot/A1"),
+        ("A1", "field robot: found A1 in TaskArrived, expected a kind and a name, such as robot/A1"),
     ],
 )
 def test_nobody_acts_without_a_kind_and_a_name_in_whatever_way_it_is_said(

@@ -304,7 +304,7 @@ def test_a_run_goes_on_as_it_began_or_not_at_all(tmp_path: Path, otherwise: dict
 
 @pytest.mark.parametrize("observes", ["fleet", "RobotJoined.supervisor"])
 def test_roles_alone_do_not_say_completely_who_supervises_whom(tmp_path: Path, observes: str) -> None:
-    with pytest.raises(UsageError, match=f"observes={observes}: found a fleet with the roles alone"):
+    with pytest.raises(UsageError, match=f"observes={observes}: found a fleet with only the roles"):
         recorder(tmp_path / "ledger", fleet={"a": "agv"}, observes=[observes])
     recorder(tmp_path / "ledger", fleet=JOINED, observes=[observes]).close()
 

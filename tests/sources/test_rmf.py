@@ -325,7 +325,7 @@ def test_no_order_and_no_damage_of_the_lines_stops_an_import() -> None:
 @pytest.mark.parametrize("data", [b"\x89PNG\r\n\x1a\n", b'{"topic": "a"}\n' * (SEARCHED + 5), b"a,b\n1,2\n"])
 def test_what_is_no_recording_of_rmf_is_refused_with_what_was_expected(data: bytes) -> None:
     with pytest.raises(
-        UsageError, match=r"day: found [\d,]+ records?, the first of them .*expected one message a line, such as"
+        UsageError, match=r"day: found [\d,]+ records?, the first of them .*expected one message per line, such as"
     ):
         records(data)
 
