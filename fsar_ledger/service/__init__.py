@@ -22,7 +22,7 @@ KINDS = {
     "robot": "a robot speaks for itself, and sees the events that name it",
     "supervisor": "a person answers calls and governs the robots that they supervise",
     "service": "a program brings work to robots",
-    "auditor": "reads, and gives no command",
+    "auditor": "reads and gives no commands",
 }
 MAX_NAME = 200
 _OWN = (REGISTRY, COORDINATION, RECOVERY, POLICY, TRUST)

@@ -79,7 +79,9 @@ class Client:
         if self._url.scheme not in ("http", "https") or not self._url.hostname:
             raise UsageError(f"url {url!r:.200}: expected http://HOST:PORT or https://HOST:PORT")
         if not (token.isascii() and token.isprintable()):
-            raise UsageError("token: found what no token has, expected one as `principal new` printed it, on one line")
+            raise UsageError(
+                "token: found characters that no token has, expected one as `principal new` printed it, on one line"
+            )
         self._line: http.client.HTTPConnection | None = None
 
     def give(self, command: str, *, key: str | None = None, **fields: object) -> Answered:

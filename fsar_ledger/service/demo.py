@@ -219,7 +219,7 @@ class TaskOf(NamedTuple):
 
 TASKS: Sequence[tuple[str, Sequence[TaskOf]]] = (
     ("a door relay", [TaskOf("robot/A1", ("A navigate.indoor", "A door.open.secure B", "A navigate.indoor"))]),
-    ("a failure that only a person resolves", [TaskOf("robot/A1", ("A door.open.secure B", "A navigate.indoor"))]),
+    ("a failure that only a person can resolve", [TaskOf("robot/A1", ("A door.open.secure B", "A navigate.indoor"))]),
     (
         "two at one door, one of them urgent",
         [TaskOf("robot/A1", ("A door.open.secure B",)), TaskOf("robot/C1", ("C door.open.secure B",), is_urgent=True)],

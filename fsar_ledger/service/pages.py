@@ -97,7 +97,7 @@ def _calls(state: State, supervisor: str | None) -> Iterator[OpenCall]:
         task = state.task.get(call.subject.task_id)
         ends_us = None if task is None else given_up_us(task, state.fleet)
         title, why, replies = _question_and_replies(state, call)
-        otherwise = "Nothing happens: what waits for the answer goes on waiting"
+        otherwise = "Nothing happens: what waits for the answer keeps waiting"
         otherwise += "." if ends_us is None else f", until task {call.subject.task_id} is given up."
         yield OpenCall(
             about, call.purpose, call.supervisor, title, why, tuple(_facts(state, call)), otherwise, ends_us, replies
@@ -181,9 +181,9 @@ def _robots(state: State) -> Iterator[RobotSeen]:
 def _away(state: State, robot: Robot) -> str | None:
     """Return why the robot is away; None if it is not."""
     if (how := state.fleet.departed.get(robot)) is not None:
-        return f"has left the fleet ({how})"
+        return f"left the fleet ({how})"
     if robot in state.knowledge.suspected:
-        return "not heard of any more"
+        return "no longer heard from"
     return "off" if robot in state.world.off else None
 
 
@@ -193,15 +193,15 @@ def page_file(name: str) -> bytes:
 
 
 _ERRORS = {
-    "400": "no command: the fields are not those of its type",
-    "401": "no token of a principal",
+    "400": "not a command: the fields are not those of its type",
+    "401": "not the token of a principal",
     "403": "an auditor gives no commands",
     "404": "there is no such command",
-    "408": "the body did not come in time",
-    "409": "the key was given with another command",
+    "408": "the body did not arrive in time",
+    "409": "the key was already used for another command",
     "413": "too long",
-    "429": "more than the principal may give in a second",
-    "503": "too many wait, the disk refuses, or no token can be checked; nothing was decided",
+    "429": "more commands than the principal may give in a second",
+    "503": "too many commands wait, the disk refuses, or no token can be checked; nothing was decided",
 }
 
 
@@ -235,7 +235,7 @@ def described() -> dict[str, Any]:
                 "summary": summary(kind),
                 "parameters": [_KEY],
                 "requestBody": {"required": True, "content": _json(schema_of[name])},
-                "responses": {"200": _response("what became of it, once it is on disk", "Decision"), **_errors()},
+                "responses": {"200": _response("the decision, once it is on disk", "Decision"), **_errors()},
             }
         }
     paths["/events"] = {"get": _EVENTS}
@@ -274,33 +274,33 @@ _DECISION = {
     "required": ["seq", "rejected", "events"],
     "properties": {
         "seq": {"type": "integer", "description": "the number of the command's record within the run"},
-        "rejected": {"type": ["string", "null"], "description": "why it could not be carried out"},
+        "rejected": {"type": ["string", "null"], "description": "why it could not be executed"},
         "events": {**_EVENT_LIST, "description": "what it led to"},
-        "followed": {**_EVENT_LIST, "description": "what happened at once after them"},
+        "followed": {**_EVENT_LIST, "description": "what happened immediately after them"},
     },
 }
 _KEY = {
     "name": "Idempotency-Key",
     "in": "header",
     "schema": {"type": "string", "minLength": 1, "maxLength": 200},
-    "description": "A command with the same key is decided once, however often it comes.",
+    "description": "A command with the same key is decided once, however often it is sent.",
 }
 _EVENTS = {
-    "summary": "Follow the events of the run as server-sent events, each at least once, from any place on.",
+    "summary": "Follow the events of the run as server-sent events, each at least once, from any point.",
     "parameters": [
         {
             "name": "after",
             "in": "query",
             "schema": {"type": "integer"},
-            "description": "The seq of the last event that is known; as Last-Event-ID. Without it: new events only.",
+            "description": "The seq of the last known event, like Last-Event-ID. Without it: new events only.",
         },
-        {"name": "robot", "in": "query", "schema": {"type": "string"}, "description": "Only those that name it."},
-        {"name": "task", "in": "query", "schema": {"type": "string"}, "description": "Only those of the task."},
+        {"name": "robot", "in": "query", "schema": {"type": "string"}, "description": "Only events that name it."},
+        {"name": "task", "in": "query", "schema": {"type": "string"}, "description": "Only events of this task."},
         {
             "name": "concern",
             "in": "query",
             "schema": {"enum": list(CONCERNS)},
-            "description": "Only those of it.",
+            "description": "Only events of this concern.",
         },
     ],
     "responses": {
@@ -326,7 +326,7 @@ def _command(name: str, kind: type[PublicCommand]) -> str:
             text = text.replace("fsar_ledger.events.envelope.", "").replace(
                 "fsar_ledger.runtime.handlers.candidates.", ""
             )
-            mark = "" if field.required else " <i>may be left out</i>"
+            mark = "" if field.required else " <i>optional</i>"
             fields.append(f"<li><code>{field.name}</code> {html.escape(text)}{mark}")
     return f"<section><h2 id={name}>{name}</h2><p>{html.escape(summary(kind))}</p><ul>{''.join(fields)}</ul></section>"
 
@@ -345,5 +345,5 @@ The machine-readable description is <a href=openapi.json>openapi.json</a>. Versi
      -d '{{"robot": "robot/A1", "action_id": "t/1.1"}}' \\
      http://127.0.0.1:8000/commands/ReportStart
 curl -N -H "Authorization: Bearer $TOKEN" "http://127.0.0.1:8000/events?after=0"</pre>
-<p>Who speaks is told by the token, and nobody speaks for another:</p><dl>{kinds}</dl>
+<p>The token identifies the caller, and nobody speaks for another:</p><dl>{kinds}</dl>
 {rows}</html>"""

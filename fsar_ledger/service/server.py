@@ -171,7 +171,7 @@ class Service:
         try:
             decision = await self._decider.decide(command)
         except Busy:
-            raise HttpError(503, "too many commands wait; come again", retry_after="1") from None
+            raise HttpError(503, "too many commands wait; try again", retry_after="1") from None
         except UsageError as error:
             raise HttpError(409, f"{error}") from error
         except FsarLedgerError as error:
@@ -206,7 +206,7 @@ class Service:
             await self._require_robot(robot, principal)
         after = request.headers.get("last-event-id", request.query_params.get("after"))
         if after is not None and not (after.isascii() and after.removeprefix("-").isdigit() and len(after) < 16):
-            raise HttpError(400, f"after: found {after!r:.80}, expected the seq of the last event that is known")
+            raise HttpError(400, f"after: found {after!r:.80}, expected the seq of the last known event")
         if after is not None and int(after) >= self._feed.end:
             raise HttpError(
                 400,
@@ -217,7 +217,7 @@ class Service:
             self._subscriptions.total() >= MAX_SUBSCRIPTIONS
             or self._subscriptions[principal.principal] >= MAX_OWN_SUBSCRIPTIONS
         ):
-            raise HttpError(503, "found too many subscriptions, expected that one ends first", retry_after="10")
+            raise HttpError(503, "found too many subscriptions; try again when one has ended", retry_after="10")
         first = self._feed.end if after is None else max(0, int(after) + 1)
         self._answers[200] += 1
         return EventStream(first, partial(self._follow, request, principal, first, wanted))
@@ -397,4 +397,4 @@ async def _body(request: Request) -> bytes:
             408, f"found half a command after {BODY_S:g} s, expected a whole one", connection="close"
         ) from None
     except ClientDisconnect:
-        raise HttpError(400, "the client has gone") from None
+        raise HttpError(400, "the client disconnected") from None

@@ -71,7 +71,7 @@ def test_a_robot_that_is_away_is_shown_as_such_with_how(asked: Site) -> None:
     shown = {one["robot"]: (one["is_away"], one["does"]) for one in overview(asked, HUMAN)["robots"]}
     assert shown["robot/A1"] == (False, None)
     assert shown["robot/B1"] == (True, "off")
-    assert shown["robot/C1"] == (True, "has left the fleet (announced)")
+    assert shown["robot/C1"] == (True, "left the fleet (announced)")
 
 
 def test_the_page_is_closed_to_what_comes_from_elsewhere(site: Site) -> None:

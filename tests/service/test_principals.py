@@ -141,7 +141,7 @@ def test_the_page_shows_a_name_that_is_no_markup() -> None:
 
 def test_a_client_refuses_what_no_header_and_no_json_can_hold() -> None:
     for token in ("fsar.1.x\n", "fsar.1.✓"):  # of a file that was read whole, for one
-        with pytest.raises(UsageError, match="token: found what no token has") as refused:
+        with pytest.raises(UsageError, match="token: found characters that no token has") as refused:
             Client("http://localhost:1", token)
         assert "fsar.1" not in str(refused.value)
     with Client("http://localhost:1", "fsar.1.x", patience_s=0) as way:
