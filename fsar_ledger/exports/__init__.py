@@ -151,7 +151,7 @@ _DELTA, _TILES = "writing a Delta table", "writing tiles"
 def _require_free(out: Path) -> None:
     """Raise a UsageError if something is at this path, or it lies inside a ledger."""
     if os.path.lexists(out):
-        raise UsageError(f"{option('out', out)}: found something there, expected a free path for a new folder")
+        raise UsageError(f"{option('out', out)}: found a file or folder, expected a free path for a new folder")
     require_outside(out, option("out", out))
 
 

@@ -116,8 +116,8 @@ def _require_same(view: View, grown: View) -> None:
     count = len(view.commits)
     if grown.manifest_sha256 != view.manifest_sha256 or grown.commits[count - 1 : count] != view.commits[-1:]:
         raise LedgerCorrupted(
-            f"{view.path}: found another ledger of {len(grown.commits):,} commits, expected the one of {count:,} whose "
-            "lines were told, or more of it; it was replaced; run fsar-ledger verify"
+            f"{view.path}: found another ledger of {len(grown.commits):,} commits, expected the one of {count:,} that "
+            "was followed, or a longer one; it was replaced; run fsar-ledger verify"
         )
 
 
@@ -142,8 +142,8 @@ def _federation(log: View) -> shards.Federation:
             raise _refusal(log, doubt)
         if view.head.size > head.shard_events:
             raise UsageError(
-                f"{folder}: found {view.head.size:,} events, expected the {head.shard_events:,} of {head} that the log "
-                f"{log.path} has; it has grown: run fsar-ledger shards {printable.word(log.path)}, which records it"
+                f"{folder}: found {view.head.size:,} events, expected the {head.shard_events:,} of {head} recorded in "
+                f"the log {log.path}; it has grown: run fsar-ledger shards {printable.word(log.path)} to record it"
             )
         found_shards.append(shards.Shard(head, view))
     if (doubt := shards.twice({shard.head.origin: shard.view for shard in found_shards})) is not None:

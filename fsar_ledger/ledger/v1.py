@@ -167,7 +167,7 @@ def _misplaced(ledger: Path) -> Iterator[Problem]:
     for name in present:
         is_right_kind = stat.S_ISREG if name in (MANIFEST, CHECKPOINT) else stat.S_ISDIR
         if name not in _NAMES:
-            yield Problem(name, "an unknown file", f"only {', '.join(sorted(_NAMES))}; take it away")
+            yield Problem(name, "an unknown file", f"only {', '.join(sorted(_NAMES))}; remove it")
         elif not is_right_kind(os.lstat(ledger / name).st_mode):
             yield Problem(name, "a link or something else", "a file or folder of the ledger")
     for name in sorted({MANIFEST, COMMITS, SEGMENTS}.difference(present)):
@@ -287,7 +287,7 @@ def _require_tiles(ledger: Path, commits: Iterable[bytes]) -> None:
         for name in (*files, *(name for name in folders if os.path.islink(os.path.join(folder, name))))
     }
     for name in sorted(listed - required - outgrown):
-        raise _damaged(ledger, Problem(name, "a stray file", "only tiles of this tree; take it away"))
+        raise _damaged(ledger, Problem(name, "a stray file", "only tiles of this tree; remove it"))
     if listed & outgrown:
         raise _interrupted(ledger, "partial tiles beside their full ones")
 

@@ -90,7 +90,7 @@ def test_tiles_are_those_of_the_tree_however_its_runs_are_cut(both: tuple[Ledger
         return (tmp_path / "1" / tile.name).read_bytes()
 
     assert tree_root(node_of(read, view.head.size), view.head.size).hex() == view.head.root
-    with pytest.raises(UsageError, match="found something there, expected a free path for a new folder"):
+    with pytest.raises(UsageError, match="found a file or folder, expected a free path for a new folder"):
         pieces.export(tmp_path / "1", tiles=True)
     with pytest.raises(UsageError, match="expected tiles alone"):
         pieces.export(tmp_path / "2", "metrics/run_metrics", tiles=True)

@@ -186,7 +186,7 @@ def test_recording_again_changes_nothing_until_a_shard_has_grown(site_copy: Path
     more = msgspec.structs.replace(runs[5], run_id="one more")
     append(site_copy / "west", [more])
     federation = fsar_ledger.open_ledger(site_copy / "log")
-    with pytest.raises(UsageError, match=r"it has grown: run fsar-ledger shards .*log, which records it"):
+    with pytest.raises(UsageError, match=r"it has grown: run fsar-ledger shards .*log to record it"):
         federation.metrics()
     found = federation.verify()
     assert found.ok

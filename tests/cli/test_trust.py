@@ -151,15 +151,15 @@ def test_a_key_goes_on_after_what_it_did_not_sign_only_if_told_to(call: Call, fo
         simulate(2, *key),
         2,
         "found a newest checkpoint with no signature",
-        "verify the ledger, and say --adopt to sign on from here",
+        "verify the ledger, and give --adopt to sign from here on",
     )
     recorded = call("record", tmp_path / "ledger", "--run", "r", *key)  # which has no --adopt
-    one_message(recorded, 2, "`record`, `import`, `federate` and `serve` go on in a new ledger")
+    one_message(recorded, 2, "with `record`, `import`, `federate` and `serve`, continue in a new ledger")
     assert open_ledger(tmp_path / "ledger").head.commits == 2
     assert "signed by" in simulate(2, *key, "--adopt").out
     assert "signed by" in simulate(3, *key).out
     one_message(simulate(4, "--adopt"), 2, "--adopt: found no --key")
-    one_message(simulate(4), 2, "found a newest commit signed by ", "give it with --key, or go on in a new ledger")
+    one_message(simulate(4), 2, "found a newest commit signed by ", "give it with --key, or continue in a new ledger")
 
 
 def test_the_secret_is_in_no_output_and_in_no_file_of_the_ledger(call: Call, folder: Path) -> None:

@@ -84,7 +84,7 @@ def test_an_empty_or_cut_proof_is_said_to_be_so(call: Call, proof: Path, tmp_pat
         ("", "an empty file"),
         (whole[:30], "a part of one"),
         (whole.partition("\n\n")[0], "a part of one"),
-        (whole.replace("index ", "index x"), "an index that is no number"),
+        (whole.replace("index ", "index x"), "an index that is not a number"),
     ):
         cut.write_text(text)
         one_message(call("verify-proof", cut), 3, said, "expected what `fsar-ledger prove` wrote")

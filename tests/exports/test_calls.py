@@ -38,7 +38,7 @@ def test_perfetto_is_the_trace_that_view_writes(ledger: fsar_ledger.Ledger, call
         ("--as ocel --out OUT.mcap", ("OUT.mcap", "'.mcap'", "expected .json", "choose")),
         ("--as mcap --out OUT.json", ("OUT.json", "'.json'", "expected .mcap", "choose")),
         ("--as delta --out OUT.json", ("OUT.json", "expected the name of a new folder", "choose")),
-        ("--as delta --out TAKEN", ("TAKEN", "found something there", "expected a free path")),
+        ("--as delta --out TAKEN", ("TAKEN", "found a file or folder", "expected a free path")),
         ("--as delta --run 1 --out OUT", ("--run 1", "whole segments", "leave the run out")),
         ("--as otlp --run 99 --out OUT.json", ("99", "expected")),
         ("--as otlp --out LEDGER/traces.json", ("inside the ledger", "choose")),

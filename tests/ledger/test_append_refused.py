@@ -194,7 +194,7 @@ def test_a_derived_file_that_is_no_file_is_refused_at_once(path: Path, name: str
     append_all(path, BATCHES[:1])
     (path / name).unlink()
     put(path / name)
-    with pytest.raises(WriteFailed, match=f"{name} is a link or something else than a file; .* recover sets it aside"):
+    with pytest.raises(WriteFailed, match=f"{name} is a link or not a regular file; .* recover sets it aside"):
         append_all(path, BATCHES[1:2])
     assert recover(path).outcome == "mended"
     assert verify(path).ok

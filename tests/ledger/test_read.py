@@ -76,7 +76,7 @@ def test_a_segment_in_staging_is_compared_there_and_again_where_it_is_moved_to(p
 def test_a_link_to_a_segment_is_no_segment(path: Path, tmp_path: Path) -> None:
     place = segment_at(path, 0)
     place.symlink_to(place.rename(tmp_path / "elsewhere.parquet"))
-    with pytest.raises(LedgerCorrupted, match="found a link or something else than a file"):
+    with pytest.raises(LedgerCorrupted, match="found a link or not a regular file"):
         open_ledger(path).segment(0)
 
 

@@ -206,7 +206,7 @@ def test_a_recovery_beside_a_writer_is_refused_even_where_the_description_is_los
         if isinstance(manifest, bytes):
             (path / "ledger.json").write_bytes(manifest)
         before = contents(path)
-        with pytest.raises(WriteFailed, match="found a writer at work"):
+        with pytest.raises(WriteFailed, match="found another writer"):
             recover(path)
         assert contents(path) == before
     assert recover(path).outcome == "mended"
@@ -228,7 +228,7 @@ def test_what_is_no_ledger_or_holds_nothing_yet_is_said_to_be_so(tmp_path: Path)
 
 def test_the_new_ledger_must_be_at_a_free_path_outside(tmp_path: Path, three: Files) -> None:
     path = write(tmp_path / "ledger", three)
-    with pytest.raises(UsageError, match="found something there"):
+    with pytest.raises(UsageError, match="found a file or folder"):
         recover(path, into=tmp_path)
     with pytest.raises(UsageError, match="expected one outside"):
         recover(path, into=path / "segments" / "new")

@@ -137,7 +137,7 @@ def test_a_link_in_the_place_of_a_folder_is_not_followed_and_stays(path: Path, t
     before = contents(tmp_path / "elsewhere")
     found = recover(path)
     assert (found.outcome, found.steps) == ("damaged", ())
-    assert "a link or something else than a folder" in f"{found.problems[0]}"
+    assert "a link or not a folder" in f"{found.problems[0]}"
     assert (path / name).is_symlink()
     assert contents(tmp_path / "elsewhere") == before
 

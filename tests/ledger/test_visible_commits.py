@@ -163,7 +163,7 @@ def test_a_commit_that_was_on_disk_and_not_visible_counts_once_its_writer_is_gon
     assert open_for_answers(path).head.size == 25
     report = verify(path)
     assert (report.ok, report.events) == (True, 25)
-    assert any("made it visible" in remark for remark in report.remarks)
+    assert any("makes it visible" in remark for remark in report.remarks)
     assert judged(Case("hidden", path, True)).difference == ""
     with Writer(path, ORIGIN) as writer:
         assert writer.head.size == 25

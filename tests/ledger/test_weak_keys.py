@@ -69,7 +69,7 @@ def test_an_honest_key_with_a_part_of_small_order_is_refused(name: str) -> None:
 def test_what_is_no_point_or_is_written_in_a_second_way_is_refused() -> None:
     found = {flaw_of((P + over).to_bytes(32, "little")) for over in range(19)}
     assert found == {"a point that is not written in its one way"}
-    off = [y for y in range(2, 12) if flaw_of(y.to_bytes(32, "little")) == "no point of the curve"]
+    off = [y for y in range(2, 12) if flaw_of(y.to_bytes(32, "little")) == "no point on the curve"]
     assert off == [2, 7, 8, 11]
     assert all(
         pow((y * y - 1) * pow(-121665 * pow(121666, -1, P) * y * y + 1, -1, P), (P - 1) // 2, P) == P - 1 for y in off

@@ -63,7 +63,9 @@ def test_nobody_goes_on_unsigned_where_a_key_signed(tmp_path: Path, call: Call) 
     before = rows(ledger)
     night = ("import", ledger, filed(tmp_path, vda.long_night(2)), "--as", "vda5050")
     for words in (night, ("record", ledger, "--run", "r"), ("record", ledger, "--run", "s")):
-        one_message(call(*words), 2, "found a newest commit signed by ", "give it with --key, or go on in a new ledger")
+        one_message(
+            call(*words), 2, "found a newest commit signed by ", "give it with --key, or continue in a new ledger"
+        )
     assert rows(ledger) == before
     call(*night, "--key", key).good()
 

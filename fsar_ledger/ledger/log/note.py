@@ -53,14 +53,14 @@ def flaw_of(public: bytes) -> str | None:
         return "a point that is not written in its one way"
     x = _x_of(y)
     if x is None:
-        return "no point of the curve"
+        return "no point on the curve"
     if x == 0 and sign:
         return "a point that is not written in its one way"
     if x & 1 != sign:
         x = _P - x
     point = (x, y, 1, x * y % _P)
     if _is_identity(_times(8, point)):
-        return "a point of small order, under which anybody can sign"
+        return "a point of small order, under which anyone can sign"
     return None if _is_identity(_times(_L, point)) else "a point with a part of small order"
 
 

@@ -293,7 +293,7 @@ class Writer:
         """Begin to seal the journal; the next commit goes into a new one. The caller holds the turn lock."""
         self._seal(self._view.journal.sealing)
         self._is_broken = True  # unless everything below succeeds
-        with disk.refusals(self._journal.path, "handing over the journal"):
+        with disk.refusals(self._journal.path, "renaming the full journal"):
             self._journal.hand_over(self._view.journal.end)
         self._view.journal.hand_over()
         self._is_broken = False

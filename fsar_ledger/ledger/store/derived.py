@@ -97,7 +97,7 @@ def append_derived(ledger: Path, name: str, data: bytes, start: int) -> None:
     """
     is_new = not os.path.lexists(ledger / name)
     if not is_new and not stat.S_ISREG(os.lstat(ledger / name).st_mode):  # a pipe would wait for who reads it
-        raise OSError(0, f"{name} is a link or something else than a file; fsar-ledger maintain recover sets it aside")
+        raise OSError(0, f"{name} is a link or not a regular file; fsar-ledger maintain recover sets it aside")
     handle = os.open(ledger / name, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
     try:
         size = os.fstat(handle).st_size
@@ -219,8 +219,8 @@ def require_lines(ledger: Path, added: Sequence[Placement], lines: Sequence[byte
     for placement, line in zip(added, lines, strict=True):
         if (problem := line_doubt(placement, line)) is not None:
             raise LedgerCorrupted(
-                f"{ledger}/{problem}; which runs there are, and how far they go, is not told where the chain "
-                "contradicts the rows; run fsar-ledger verify"
+                f"{ledger}/{problem}; the chain contradicts the rows, so it is unknown which runs there are and how "
+                "far they go; run fsar-ledger verify"
             )
 
 

@@ -113,7 +113,7 @@ def refusal(path: Path, doing: str, error: OSError) -> WriteFailed:
     reason = error.strerror or str(error)
     if isinstance(error, Uncertain):
         return WriteFailed(
-            f"{path}: {doing} failed: {reason}; nobody can tell whether the commit is there: make room or permit "
+            f"{path}: {doing} failed: {reason}; it is unknown whether the commit is there: make room or permit "
             "writing there, open the ledger again, and append what it lacks"
         )
     return WriteFailed(

@@ -82,8 +82,8 @@ def read_verifier(key: str) -> VerifierKey:
         )
     if (flaw := flaw_of(public)) is not None:
         raise UsageError(
-            f"{where}: found {flaw}, expected an Ed25519 public key of prime order; no signature of it would prove "
-            "anything, get another key"
+            f"{where}: found {flaw}, expected an Ed25519 public key of prime order; a signature by it would prove "
+            "nothing, get another key"
         )
     verifier = VerifierKey(name, public)
     if verifier.key_id.hex() != key_id:

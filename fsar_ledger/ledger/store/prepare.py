@@ -100,7 +100,8 @@ def create(ledger: Path, origin: str) -> None:
             if os.path.lexists(ledger / CHAIN):
                 read_manifest(ledger)  # raises: only the manifest is missing
             raise NotALedger(
-                f"{ledger}: found a folder with other things in it, expected a ledger or a free path; give another path"
+                f"{ledger}: found a folder that is not a ledger and not empty, expected a ledger or a free path; give "
+                "another path"
             )
         for folder in folders:
             disk.make_folder(folder)
@@ -123,14 +124,14 @@ def require_own(view: View, key: VerifierKey | None) -> None:
     if key is None:
         if (signers := signers_of(note)) is not None:
             raise UsageError(
-                f"{value(str(view.path))}: found a newest commit signed by {value(signers)}, expected its key for what "
-                f"follows: give it with {option('key')}, or go on in a new ledger"
+                f"{value(str(view.path))}: found a newest commit signed by {value(signers)}, expected the same key for "
+                f"the next: give it with {option('key')}, or continue in a new ledger"
             )
     elif (flaw := doubt(note, key)) is not None:
         raise UsageError(
             f"{view.path}: found a newest checkpoint with {flaw}, expected one of {key.key}; its next signature "
-            f"would vouch for all that is there: verify the ledger, and say {option('adopt')} to sign on from here, "
-            "where the command has that; `record`, `import`, `federate` and `serve` go on in a new ledger"
+            f"would vouch for everything there: verify the ledger, and give {option('adopt')} to sign from here on, "
+            "if the command has it; with `record`, `import`, `federate` and `serve`, continue in a new ledger"
         )
 
 

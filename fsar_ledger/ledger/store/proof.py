@@ -178,8 +178,8 @@ def _parse_step(where: str, text: str) -> Proof:
         proof = Proof(event, int(index.removeprefix("index ")), tuple(decoded), parse_note(where, note))
     except ValueError as error:
         raise LedgerCorrupted(
-            f"{where}: found no C2SP tlog-proof (an event or a hash that is no base64, or an index that is no number), "
-            "expected what `fsar-ledger prove` wrote; get it again"
+            f"{where}: found no C2SP tlog-proof (an event or a hash that is not base64, or an index that is not a "
+            "number), expected what `fsar-ledger prove` wrote; get it again"
         ) from error
     if str(proof) != text or proof.index < 0 or any(len(entry) != HASH_BYTES for entry in proof.hashes):
         raise LedgerCorrupted(

@@ -89,7 +89,7 @@ def _no_segment(file: str, number: int, record: Stored, found: str) -> Problem:
 def _unfit(file: str, number: int, record: Stored, status: os.stat_result, said_by: str) -> Problem | None:
     """Return why a file of this kind and size cannot be the segment; None if it can."""
     if not stat.S_ISREG(status.st_mode):
-        return _no_segment(file, number, record, "a link or something else than a file")
+        return _no_segment(file, number, record, "a link or not a regular file")
     if status.st_size != record.segment_bytes:
         expected = f"{record.segment_bytes}, as {said_by} says"
         return Problem(file, f"{status.st_size} bytes", expected, commit=number, field="segment_bytes")

@@ -303,7 +303,7 @@ def _require_free(path: Path, into: Path | None) -> None:
     if into is None:
         return
     if os.path.lexists(into):
-        raise UsageError(f"{option('into', into)}: found something there, expected a free path; give another one")
+        raise UsageError(f"{option('into', into)}: found a file or folder, expected a free path; give another one")
     if path.resolve() in into.resolve().parents:
         raise UsageError(
             f"{option('into', into)}: found a path within {path}, expected one outside of it; give another one"
@@ -327,7 +327,7 @@ def _lock(path: Path, handle: int) -> None:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         raise WriteFailed(
-            f"{path}: found a writer at work, expected none; wait until it ends, or end it, and run it again"
+            f"{path}: found another writer, expected none; wait until it ends, or stop it, and run this again"
         ) from error
     except OSError:  # the file system has no locks
         return
@@ -388,7 +388,7 @@ def _copy(
         report = verify(work, workers, progress, asked)
         if not report.ok:
             raise LedgerCorrupted(
-                f"{report.problems[0]}\n{path}: found other files than a moment ago, expected nobody else to write; "
+                f"{report.problems[0]}\n{path}: found other files than a moment ago, expected no other writer; "
                 "run it again"
             )
         with disk.refusals(into, "naming the new ledger"):

@@ -53,22 +53,22 @@ from fsar_ledger.ledger.verify.segment import SegmentFacts, examine_all
 FOLDERS = frozenset({SEGMENTS, STAGING})
 FILES = frozenset({MANIFEST, CHAIN, JOURNAL, SEALING, NODES, INDEX, CHECKPOINT})
 BEHIND = (
-    "the pack, the index and the checkpoint are behind the chain, as a crash leaves them; the next writer, or "
-    "fsar-ledger maintain recover, goes on from there"
+    "the pack, the index and the checkpoint are behind the chain, as after a crash; the next writer, or fsar-ledger "
+    "maintain recover, continues from there"
 )
-OPEN = "the checkpoint is behind the journal, as a writer that was not closed leaves it"
+OPEN = "the checkpoint is behind the journal, as after a writer that was not closed"
 SEALED = (
-    "the journal is there though it was sealed, and what follows from that may be missing, as a crash leaves it; the "
-    "next writer, or fsar-ledger maintain recover, goes on from there"
+    "the journal is still there although it was sealed, and later steps may be missing, as after a crash; the next "
+    "writer, or fsar-ledger maintain recover, continues from there"
 )
 HIDDEN = (
-    "the newest commit is whole, but its writer was interrupted before it made it visible; it counts, and the next "
-    "writer does so"
+    "the newest commit is whole, but its writer was interrupted before making it visible; it counts, and the next "
+    "writer makes it visible"
 )
-TORN = "an append was interrupted, and what is left of it is no commit; the next writer removes it"
-SUPERSEDED = "segments are there that were compacted, as a crash leaves them; the next writer removes them"
+TORN = "an append was interrupted, and what is left of it is not a commit; the next writer removes it"
+SUPERSEDED = "segments that were compacted are still there, as after a crash; the next writer removes them"
 SEGMENT_NAME = re.compile(rf"{SEGMENTS}/[0-9]{{12,}}-[0-9]{{12,}}\.parquet")
-_SYMBOLIC = "a link or something else than a file"
+_SYMBOLIC = "a link or not a regular file"
 
 
 class Verification:
@@ -375,11 +375,11 @@ def _check_names(path: Path) -> Iterator[Problem]:
     """Yield a problem for each name in the ledger's folder that is unknown, missing or a link."""
     for name in names_in(path):
         if name not in FOLDERS | FILES:
-            yield Problem(name, "an unknown file", f"only {', '.join(sorted(FOLDERS | FILES))}; take it away")
+            yield Problem(name, "an unknown file", f"only {', '.join(sorted(FOLDERS | FILES))}; remove it")
             continue
         mode = os.lstat(path / name).st_mode
         if name in FOLDERS and not stat.S_ISDIR(mode):
-            yield Problem(name, "a link or something else than a folder", "a folder of the ledger")
+            yield Problem(name, "a link or not a folder", "a folder of the ledger")
         elif name in FILES and not stat.S_ISREG(mode):
             yield Problem(name, _SYMBOLIC, "a file of the ledger")
     if not os.path.lexists(path / SEGMENTS):
@@ -388,8 +388,8 @@ def _check_names(path: Path) -> Iterator[Problem]:
 
 def _of_stray(name: str) -> str:
     if SEGMENT_NAME.fullmatch(name) is None:
-        return "take it away"
-    return "keep it: either newer commits were removed, or the ledger was copied while somebody wrote to it"
+        return "remove it"
+    return "keep it: either newer commits were removed, or the ledger was copied while it was being written"
 
 
 def unplaced(view: View) -> list[str]:

@@ -133,7 +133,7 @@ def check_anchor(
             Problem(
                 anchor.file,
                 f"a checkpoint with {doubt(anchor.note, trusted)}",
-                f"one signed by {trusted.key}, the trusted key; one of before the key changed is compared without "
+                f"one signed by {trusted.key}, the trusted key; to compare one from before the key changed, leave out "
                 f"{option('trusted_key')}",
             )
         ]
