@@ -143,7 +143,7 @@ def parse_vkey(text: str) -> VerifierKey | WitnessKey:
     except ValueError as error:
         raise ValueError(
             f"found {error}, expected an Ed25519 public key of prime order; "
-            "no signature by this key would prove anything; get another key"
+            "a signature by this key would prove nothing; get another key"
         ) from error
     if key.key_id.hex() != key_id:
         raise ValueError(f"found another key id than this key's, {key.key_id.hex()}; it was altered, get it again")

@@ -189,7 +189,7 @@ class WitnessAnswer(NamedTuple):
                 f"{self.policy.rule()}){rest}"
             ),
             *(
-                f"witness {statement.witness}: its word does not count: {statement.reason}"
+                f"witness {statement.witness}: its answer does not count: {statement.reason}"
                 for statement in statements
                 if statement.reason is not None
             ),
@@ -205,7 +205,7 @@ class WitnessAnswer(NamedTuple):
         return (
             f"{self.policy.file}: found {self._heard() or 'no cosignature that counts'} ({reasons}), expected "
             f"{self.policy.rule()}; {ledger} may be "
-            "consistent, but nothing shows that it is what they saw: ask again, or find out why they are silent"
+            "consistent, but nothing shows that it is what they saw: ask again, or find out why they do not answer"
         )
 
     def _heard(self) -> str:
@@ -274,7 +274,7 @@ def _logs_of(policy: Policy, trusted: VerifierKey | None) -> tuple[VerifierKey, 
     """Return the keys of which one must have signed what the witnesses cosigned."""
     if policy.quorum is None:
         raise UsageError(
-            f"{policy.file}: found `quorum none`, expected a witness or a group; without one nothing is shown"
+            f"{policy.file}: found `quorum none`, expected a witness or a group; without one nothing is proven"
         )
     if trusted is None and not policy.logs:
         raise UsageError(f"{policy.file}: found no log, expected a line `log KEY`, or {option('trusted_key', 'KEY')}")

@@ -213,7 +213,7 @@ _MEANINGS: dict[int, str] = {
     HTTPStatus.FORBIDDEN: ": it does not trust the key that signed the checkpoint",
     HTTPStatus.CONFLICT: ": it knows another root of the same size: history was rewritten, or the witness lies",
     HTTPStatus.UNPROCESSABLE_ENTITY: (
-        ": the ledger did not only grow since what it knows: history was rewritten, or the witness lies"
+        ": the ledger did more than grow since the state it knows: history was rewritten, or the witness lies"
     ),
 }
 

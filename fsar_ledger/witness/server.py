@@ -191,11 +191,11 @@ class _Handler(BaseHTTPRequestHandler):
             len(lengths) == 1 and lengths[0].isascii() and lengths[0].isdecimal() and len(lengths[0]) <= _LENGTH_DIGITS
         )
         if "Transfer-Encoding" in self.headers or not lengths:
-            self._refuse(HTTPStatus.LENGTH_REQUIRED, "the length of the request must be given\n")
+            self._refuse(HTTPStatus.LENGTH_REQUIRED, "the request must state its length\n")
         elif not is_length:
-            self._refuse(HTTPStatus.BAD_REQUEST, "the length of the request is no number, or too large\n")
+            self._refuse(HTTPStatus.BAD_REQUEST, "the length of the request is not a number, or too large\n")
         elif int(lengths[0]) > MAX_BODY_BYTES:
-            self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a request may have {MAX_BODY_BYTES} bytes\n")
+            self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a request may have at most {MAX_BODY_BYTES} bytes\n")
         else:
             self._answer(int(lengths[0]))
 

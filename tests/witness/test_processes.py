@@ -139,7 +139,7 @@ def test_one_that_lies_and_one_that_is_behind_do_not_hide_what_the_third_saw(pla
         assert called.code == 0, called.err
         assert "witnessed: 300 of 597 events, by ahead (20" in called.out
         assert "fewer saw the newest 297" in called.out
-        assert ("witness liar: its word does not count: " in called.out) == (lie != "/forgets")
+        assert ("witness liar: its answer does not count: " in called.out) == (lie != "/forgets")
         # The newest commits were dropped. One witness that saw them is enough, since the log signed what it saw.
         called = place.verify(place.ledger(2), lies, "--quick")
         assert called.code == 3
@@ -198,8 +198,8 @@ def test_a_silent_witness_counts_as_missing_and_costs_seconds(place: Place, monk
     began = time.monotonic()
     called = place.verify(place.ledger(4), place.policy(1, *lines))
     assert called.code == 0
-    assert "witness liar: its word does not count: no answer within 1 s" in called.out
-    assert "gone: its word does not count: http://127.0.0.1:" in called.out
+    assert "witness liar: its answer does not count: no answer within 1 s" in called.out
+    assert "gone: its answer does not count: http://127.0.0.1:" in called.out
     called = place.verify(place.ledger(4), place.policy(2, place.first.line("w1"), place.liar.line("liar", "/silent")))
     assert called.code == 3
     assert time.monotonic() - began < 30  # although the liar never answers
@@ -282,7 +282,7 @@ def test_a_witness_policy_that_names_no_witness_to_ask_is_explained(ledgers: Pat
     one_message(call("verify", ledgers / "1", "--cosigned", tmp_path / "x"), 2, "found no --witness-policy")
     one_message(call("verify", ledgers / "1", "--witness-policy", policy), 2, "expected a C2SP tlog-policy")
     for text, parts in (
-        ("quorum none\n", "without one nothing is shown"),
+        ("quorum none\n", "without one nothing is proven"),
         (f"{line}\nquorum w\n", "found no log"),
         (f"{log}{line}\nquorum w\n", "found no witness with a URL"),
         (f"log {log_of.LOG.verifier}\n{line}\nquorum w\n", "--trusted-key: found"),
