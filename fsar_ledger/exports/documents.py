@@ -131,9 +131,9 @@ def write_ocel(out: Path, runs: Iterable[LedgerRun], numbers: Mapping[str, int])
         shutil.copyfileobj(buffer, file)
         event_types, object_types = map(msgspec.json.encode, log.types())
         file.write(b'],\n"eventTypes":' + event_types + b',\n"objectTypes":' + object_types + b"}\n")
-    left_out = f"{log.left_out:,} events name no object and are not in it"
+    left_out = f"{log.left_out:,} events name no object and are not in the file"
     if log.observations:
-        left_out += f"; {log.observations:,} of them are observations, which tell what they are about in open text"
+        left_out += f"; {log.observations:,} of them are observations, which name their objects in open text"
     return ExportedFile(log.events, (f"{log.objects:,} objects", left_out, TOLD))
 
 

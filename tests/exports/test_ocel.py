@@ -110,7 +110,7 @@ def test_observations_that_are_not_in_it_are_counted(tmp_path: Path) -> None:
     events += [Observed(source="hall", kind="battery", objects=("robot/A1",), qualifiers=("robot",))] * 2
     written = documents.write_ocel(tmp_path / "log.json", [LedgerRun("hall", [0, 0, 0], [None] * 3, events)], {})
     assert written.notes[1] == (
-        "3 events name no object and are not in it; 2 of them are observations, which tell what they are about in open "
+        "3 events name no object and are not in the file; 2 of them are observations, which name their objects in open "
         "text"
     )
 
