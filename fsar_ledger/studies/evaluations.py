@@ -199,7 +199,7 @@ class Evaluations:
                 self._kept[answer.key] = answer
         except msgspec.MsgspecError as error:
             raise UsageError(
-                f"{self._path}: found a line that is no evaluation ({error}); remove the file, or give another --out"
+                f"{self._path}: found a line that is not an evaluation ({error}); remove it, or give another --out"
             ) from error
 
     def _write(self, line: msgspec.Struct) -> None:
@@ -212,7 +212,7 @@ class Evaluations:
             self._write(line)
         except OSError as error:
             raise WriteFailed(
-                f"{self._path}: cannot be written ({error.strerror}); make room and call it again, which goes on from "
+                f"{self._path}: cannot be written ({error.strerror}); make room and run it again, to continue from "
                 "there"
             ) from error
         self._kept[key] = line

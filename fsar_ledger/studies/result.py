@@ -38,7 +38,7 @@ KINDS: dict[str, type[Result]] = {
     "systems": Systems,
 }
 """The studies whose results are files, in the order in which they are made."""
-RESUME_ADVICE = "make room and call it again, which goes on from there"
+RESUME_ADVICE = "make room and run it again, to continue from there"
 """The advice where a result cannot be written but its evaluations are kept."""
 
 

@@ -47,12 +47,12 @@ class ResultTables(Answer):
 )
 def study_show(
     name: Annotated[str, argument("NAME", f"{', '.join(STUDIES[:-1])} or {STUDIES[-1]}.", complete="studies")],
-    file: Place | None = argument("FILE", "What `study run NAME` wrote.", "the result in this package"),
+    file: Place | None = argument("FILE", "The file that `study run NAME` wrote.", "the result in this package"),
 ) -> Answer:
     """Show the result of a study as tables, and whether what it rests on has changed since.
 
     It rests on the version of the model, the constants, the registration and the queries that judged its runs. The
-    package has a result of each study that was made for this version; that of `study run multiverse` is in no file.
+    package has a result of each study for this version, except of `study run multiverse`, whose result is in no file.
 
     Raises:
         InvalidExperiment: There is no such study.
@@ -77,11 +77,11 @@ def study_show(
 
 @verb("study run ranking --out out/ranking.json", name="study run ranking", takes=("wide",), after_interruption=GOES_ON)
 def ranking(out: OutOption, workers: WorkersOption = None, progress: Points = None) -> ResultTables:
-    """Rank the architectures all over the registered ranges, without any fit; takes some 15 minutes on two cores.
+    """Rank the architectures across the registered ranges, without a fit; takes about 15 minutes on two cores.
 
-    At each of the registered points every free constant is anywhere in its range. The result says in what share of the
+    At each registered point, every free constant lies anywhere in its range. The result says in what share of the
     points FSAR is the best of the three in each metric, in what share the paper's order is right, and how often each
-    cannot be told. An interrupted study continues where it stopped.
+    cannot be decided. An interrupted study continues where it stopped.
     """
     from .robustness import ranking as study
 
@@ -99,7 +99,7 @@ def calibration(
     workers: WorkersOption = None,
     progress: Annotated[Progress | None, Shows("tried", "parameter sets")] = None,
 ) -> Lines:
-    """Fit the constants again as registered; takes the better part of an hour.
+    """Fit the constants again as registered; takes most of an hour.
 
     The fit is to the paper's results table alone. `reports/registration.toml` names the constants and their ranges. The
     result says where the fit began, what the data identify and what was accepted. An interrupted fit continues where it
@@ -120,7 +120,7 @@ def calibration(
 )
 def ensemble(
     calibration: Place | None = argument(
-        "CALIBRATION", "What `study run calibration` wrote.", "the fit in this package"
+        "CALIBRATION", "The file that `study run calibration` wrote.", "the fit in this package"
     ),
     *,
     out: OutOption,
@@ -129,10 +129,10 @@ def ensemble(
 ) -> ResultTables:
     """Evaluate points around the fit that explain the paper's results about as well; takes an hour on two cores.
 
-    They are drawn as the slopes of the fit leave them open. A point is plausible if each of the 24 cells lies within
-    its margin, and the registered discrepancy, of the printed number. The result says how many are, and with how many
-    each verdict on a cell, each sign of a comparison and each rank agrees. An interrupted study continues where it
-    stopped.
+    They are drawn where the slopes of the fit leave them open. A point is plausible if each of the 24 cells lies within
+    its margin, and the registered discrepancy, of the printed number. The result says how many points are plausible,
+    and with how many of them each verdict on a cell, each sign of a comparison and each rank agrees. An interrupted
+    study continues where it stopped.
     """
     from .robustness import ensemble as study
 
@@ -143,7 +143,7 @@ def ensemble(
 def predictions(
     out: OutOption,
     workers: WorkersOption = None,
-    progress: Annotated[Progress | None, Shows("played", "experiments")] = None,
+    progress: Annotated[Progress | None, Shows("simulated", "experiments")] = None,
 ) -> Lines:
     """Simulate the experiments registered for prediction, and write their numbers; takes minutes.
 
@@ -163,7 +163,8 @@ def predictions(
     takes=(),
 )
 def comparison(
-    predictions: Annotated[Place, argument("PREDICTIONS", "What `study run predictions` wrote.")], out: OutOption
+    predictions: Annotated[Place, argument("PREDICTIONS", "The file that `study run predictions` wrote.")],
+    out: OutOption,
 ) -> Lines:
     """Compare predicted numbers with the paper's, and with what its claims were registered to imply.
 
@@ -218,10 +219,10 @@ def placebo(
     workers: WorkersOption = None,
     progress: Annotated[Progress | None, Shows("compared", "repetitions")] = None,
 ) -> ResultTables:
-    """Compare FSAR with itself under the name of another architecture; takes some 10 minutes on two cores.
+    """Compare FSAR with itself under the name of another architecture; takes about 10 minutes on two cores.
 
-    It is the negative control of the whole way from simulation to test. On the same seeds nothing may differ; on other
-    seeds each test may reject only as often as its level says. An interrupted study continues where it stopped.
+    It is the negative control of the whole chain from simulation to test. On the same seeds nothing may differ; on
+    other seeds each test may reject only as often as its level says. An interrupted study continues where it stopped.
     """
     from .placebo import placebo as study
 
@@ -230,10 +231,11 @@ def placebo(
 
 @verb("study run systems --out out/systems.json", name="study run systems", takes=("wide",), after_interruption=GOES_ON)
 def systems(out: OutOption, workers: WorkersOption = None, progress: Points = None) -> ResultTables:
-    """Run every architecture in the same worlds, at 4, 8 and 16 robots and over each dial; takes some 15 minutes.
+    """Run every architecture in the same worlds, at 4, 8 and 16 robots and over each dial; takes about 15 minutes.
 
-    These are the paper's three and three published systems, RoboOS, JADE's contract net and ALLIANCE, by the paper's
-    metrics and by those that silence cannot win. Nothing is fitted. An interrupted study continues where it stopped.
+    These are the paper's three and three published systems, RoboOS, JADE's contract net and ALLIANCE, judged by the
+    paper's metrics and by metrics that silence cannot win. Nothing is fitted. An interrupted study continues where it
+    stopped.
     """
     from .systems import systems as study
 
