@@ -104,8 +104,8 @@ def outcome_of(text: str) -> Outcome:
     match = _COMPARISON.fullmatch(text)
     if match is None:
         raise UsageError(
-            f"outcome {printable.value(text)}: expected a metric or an invariant and a number, as `policy_violations > "
-            "0` or `i3 > 0`, or a SELECT of run_id"
+            f"outcome {printable.value(text)}: expected a metric or an invariant and a number, such as "
+            "`policy_violations > 0` or `i3 > 0`, or a SELECT of run_id"
         )
     name, operator, number = match[1], _OPERATORS.get(match[2], match[2]), match[3]
     if name in (metric.name for metric in metrics()):
@@ -263,7 +263,7 @@ def smallest(search: Search) -> frozenset[str]:
         raise UsageError("outcome: the run does not have it, expected one that it has; `metrics` shows what it has")
     if search.holds(frozenset()):
         raise UsageError(
-            "outcome: it stands even if nothing happens in the world, so no fact and no answer causes it; expected one "
+            "outcome: it occurs even if nothing happens in the world, so no fact or answer causes it; expected one "
             "that needs a cause"
         )
     kept = list(search.candidates)

@@ -120,7 +120,7 @@ class Rerun(NamedTuple):
             for change in added:
                 _require_meant(self, change)
             raise UsageError(
-                f"change {added[0]}: the run cannot be played with it ({type(error).__name__}: {error!s:.200}), "
+                f"change {added[0]}: the run cannot be simulated with it ({type(error).__name__}: {error!s:.200}), "
                 "expected a fact that this fleet can meet"
             ) from error
 
@@ -138,7 +138,7 @@ class Rerun(NamedTuple):
         is_same = forked.parts_at is None and forked.end is None
         if is_same and any(not _is_of_model(change) for change in changes):
             text = printable.list_few(map(str, changes))
-            raise UsageError(f"change {text}: it has no effect, the run does the same; expected one that changes it")
+            raise UsageError(f"change {text}: it has no effect on the run; expected one that has")
         return forked
 
     def refused(self, change: AnyChange, forked: Fork) -> str | None:
@@ -163,7 +163,7 @@ def base_of_record(record: LedgerRun, root: str) -> Base:
     try:
         return Base(record, recipe_of(record, started), root)
     except CannotReplay as error:
-        raise UsageError(f"run {run}: {error}; only such a run can be made again with a change") from error
+        raise UsageError(f"run {run}: {error}; only such a run can be replayed with a change") from error
 
 
 def rerun(base: Base) -> Rerun:
@@ -179,14 +179,14 @@ def rerun(base: Base) -> Rerun:
             of_whom = (recipe.live.asked or ()) if recipe.live is not None else ()
     except (LookupError, ValueError, RuntimeError, TypeError) as error:
         raise UsageError(
-            f"run {printable.value(base.record.run_id)}: it cannot be made again ({error!s:.300}); run "
+            f"run {printable.value(base.record.run_id)}: it cannot be replayed ({error!s:.300}); run "
             "`fsar-ledger verify --replay`"
         ) from error
     seq = parts_at(base.record, remade)
     if seq is not None or remade.events[0] != base.record.events[0]:
         raise UsageError(
             f"run {printable.value(base.record.run_id)}, event {seq or 0}: the record is not what its world and its "
-            "handlers make, so nothing forks from it; run `fsar-ledger verify --replay`, which says what differs"
+            "handlers make, so it cannot be forked; run `fsar-ledger verify --replay`, which says what differs"
         )
     return Rerun(base, questions, tuple(of_whom))
 
@@ -237,7 +237,7 @@ def _require_members(base: Base, change: Add) -> None:
     fact = fact_of(change.event)
     if base.recipe.live is not None and not isinstance(fact, CommandGiven):
         raise UsageError(
-            f"change {change}: found a fact of the world, expected a command, by which a live run is told of it, as "
+            f"change {change}: found a fact of the world, expected a command that reports it to a live run, such as "
             'add 20s {"command": "ReportPresence", "by": "robot/B1", "robot": "robot/B1", "is_on": false}'
         )
     if base.recipe.live is not None:
@@ -279,11 +279,11 @@ def _require_answer(change: Answer, kinds: Sequence[str]) -> None:
         return
     if is_live and kind in _SHORT and "/" not in change.question and "*" not in change.question:
         raise UsageError(
-            f"change {change}: found a number, expected the name of the call, as the end of the fork has it"
+            f"change {change}: found a number, expected the name of the call, as printed where the fork ends"
         )
     if answer_of(kind, change.answer) is None:
         words = {CALL: "approve, deny or other", "attempt": "hold or fail", "admission": "accept", "help": "accept"}
-        expected = words.get(kind, "a length, as 2.5s, or never")
+        expected = words.get(kind, "a length, such as 2.5s, or never")
         expected += f", or {MODEL} and a seed" if is_live else ""
         raise UsageError(f"change {change}: found {printable.value(change.answer)}, expected {expected}")
 
@@ -295,10 +295,10 @@ def _require_used(rerun: Rerun, change: Answer, forked: Fork) -> None:
     if rerun.base.recipe.live is not None:
         asked = matching_names(change.question, [name for name, _ in rerun.of_whom])
         raise UsageError(
-            f"change {change}: {asked[0]} was asked on record, too; expected a change of the command that answers, as "
-            f"answer {COMMAND}NAME/N FIELD=VALUE, or drop and add; {LIST}"
+            f"change {change}: {asked[0]} was also asked on record; expected a change of the command that answers it, "
+            f"such as answer {COMMAND}NAME/N FIELD=VALUE, or drop and add; {LIST}"
             if asked
-            else f"change {change}: it has no effect, nobody is asked that in the fork"
+            else f"change {change}: it has no effect, nobody is asked this in the fork"
         )
     names = {question.name: question for question in rerun.asked}
     calls = numbers_of_calls(rerun.asked)

@@ -102,9 +102,9 @@ def past_at(pieces: Iterable[LedgerRun], time_us: int) -> Past:
 REFUSALS = (RequestDenied, RequestCountered, RequestUnanswered, AssistanceDeclined, CommandRejected)
 MOVES = {
     "next": "the next event",
-    "previous": "the event before",
+    "previous": "the previous event",
     "next-decision": "the next event that names who decided it",
-    "previous-decision": "the decision before",
+    "previous-decision": "the previous decision",
     "next-of": "the next event that names the robot: `next-of B1`",
     "next-refusal": "the next refusal",
     "cause": "the event that caused this one",

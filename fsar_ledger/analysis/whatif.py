@@ -184,7 +184,7 @@ def of_run(run: str, others: str = "") -> str:
 def refused_in_all(pairs: Sequence[tuple[str, str]]) -> UsageError:
     """Return the error of changes that are refused in every run, given each run and why."""
     (run, why), count = pairs[0], len(pairs)
-    return UsageError(f"{why}{of_run(run, f'some change is refused in each of {count:,}' if count > 1 else '')}")
+    return UsageError(f"{why}{of_run(run, f'some change is refused in each of {count:,} runs' if count > 1 else '')}")
 
 
 def refused_in(pairs: Iterable[str | None]) -> list[RefusedChange]:
@@ -231,8 +231,8 @@ def _forked(ledger: str, root: str, runs: Sequence[str], changes: Changes) -> "_
     view = open_for_answers(Path(ledger))
     if view.head.root != root:
         raise SequenceConflict(
-            f"{ledger}: found root {view.head.root} where another process found {root}, expected the same; is it the "
-            "same folder there, and did it grow meanwhile? run it again"
+            f"{ledger}: found root {view.head.root} where another process found {root}, expected the same; check that "
+            "it is the same folder there, and run it again if it has grown"
         )
     return _judged(fork_pairs(view, runs, changes))
 

@@ -70,7 +70,7 @@ def decisions(record: LedgerRun, seqs: Collection[int]) -> dict[int, Decision]:
     try:
         recipe = recipe_of(record, started)
     except CannotReplay as reason:
-        raise UsageError(f"run {run}: {reason}; only a run that can be made again shows what was read") from reason
+        raise UsageError(f"run {run}: {reason}; only a run that can be replayed shows what was read") from reason
     differs: list[int] = []
     for rules in RULES if started.changes else (NOW,):  # a fork's changes mean what they meant when it was made
         recipe = msgspec.structs.replace(recipe, rules=rules)
@@ -79,7 +79,7 @@ def decisions(record: LedgerRun, seqs: Collection[int]) -> dict[int, Decision]:
             run_to_end(kernel, kernel.edited, recipe)
         except (LookupError, ValueError, RuntimeError, TypeError) as error:
             raise UsageError(
-                f"run {run}: it cannot be made again ({error!s:.300}); run `fsar-ledger verify --replay`"
+                f"run {run}: it cannot be replayed ({error!s:.300}); run `fsar-ledger verify --replay`"
             ) from error
         at = 0 if kernel.events[0] != started else parts_at(record, record_of(kernel))
         if at is None:

@@ -220,12 +220,12 @@ def without_effect(view: "View", runs: Sequence[str], changes: "Changes") -> Usa
     from fsar_ledger.analysis import whatif as forks
     from fsar_ledger.ledger.store.locations import record_of
 
-    others = f"none of {len(runs):,} changes" if len(runs) > 1 else ""
+    others = f"they have no effect in any of {len(runs):,} runs" if len(runs) > 1 else ""
     try:
         forks.fork_of(view, record_of(view, runs[0]), changes)
     except UsageError as why:
         return UsageError(f"{why}{forks.of_run(runs[0], others)}")
-    return UsageError(f"none of {len(runs):,} runs changes with these changes; expected some effect")
+    return UsageError(f"the changes have no effect in any of {len(runs):,} runs; expected some effect")
 
 
 def _of_one(pair: "Pair", texts: tuple[str, ...], provenance: "Provenance", path: Path | None) -> WhatIf:

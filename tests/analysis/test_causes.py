@@ -154,7 +154,7 @@ def test_causes_of_random_outcomes_suffice_and_are_smallest(outcomes: int) -> No
         base, outcome = again(record), outcome_of(draw.choice(asked))
         try:
             found = cause(base, outcome)
-        except UsageError:  # it stands even if nothing happens
+        except UsageError:  # it occurs even if nothing happens
             assert Search(base, outcome).holds(frozenset())
             continue
         require_smallest(base, outcome, found)
@@ -196,7 +196,7 @@ def test_an_outcome_that_the_run_does_not_have_has_no_cause() -> None:
 
 
 def test_an_outcome_that_needs_nothing_has_no_cause() -> None:
-    with pytest.raises(UsageError, match="stands even if nothing happens"):
+    with pytest.raises(UsageError, match="occurs even if nothing happens"):
         cause(again(simulated("fsar")), outcome_of("policy_violations < 5"))
 
 

@@ -192,7 +192,7 @@ BAD = [
     ("rule fleet deny task=A1-11", "the run has no task A1-11; did you mean A1-1"),
     ("trust A1 B1 none task=Z9-9", "the run has no task Z9-9; expected one of A1-1"),
     ("move task:A1-1 -900s", "after the beginning of the run"),
-    ("set structure.poll_us=999999", "it has no effect, the run does the same"),
+    ("set structure.poll_us=999999", "it has no effect on the run"),
 ]
 
 

@@ -128,5 +128,5 @@ def test_with_a_key_the_answer_says_who_signed(call: Call, tmp_path: Path) -> No
 
 def test_wrong_calls_are_one_message(call: Call, copy: Path, tmp_path: Path) -> None:
     one_message(call("maintain", "recover", tmp_path / "nowhere"), 2, "found no ledger there")
-    one_message(call("maintain", "recover", copy, "--into", tmp_path), 2, "--into", "found something there")
+    one_message(call("maintain", "recover", copy, "--into", tmp_path), 2, "--into", "found a file or folder")
     one_message(call("maintain", "recover", copy, "--anchor", tmp_path / "nothing"), 2, "--anchor")

@@ -119,7 +119,7 @@ def test_a_run_that_cannot_be_made_again_is_not_forked_and_nothing_is_written(
     kept = tmp_path / "kept"
     upgrade(LEDGERS / release / "ledger", kept)
     words = ("--change", "drop window:*", "--out", tmp_path / "forks")
-    one_message(call("whatif", kept, "--run", run, *words), 2, found, "only such a run can be made again with a change")
+    one_message(call("whatif", kept, "--run", run, *words), 2, found, "only such a run can be replayed with a change")
     one_message(call("cause", kept, "--run", run, "--outcome", "policy_violations > 0"), 2, found)
     assert list(tmp_path.iterdir()) == [kept]
 
