@@ -15,8 +15,8 @@ MIN_WILCOXON = 6
 DIFFERS = {
     "setting": "were made under other constants, by another model, or as forks by other changes",
     "facts": "did not meet the same facts of the world",
-    "repeated": "cannot be told from others: one architecture has several runs of one seed, scenario and number",
-    "unobserved": "are not known to have met the same world, which one of them does not observe",
+    "repeated": "cannot be told apart: one architecture has several runs of one seed, scenario and number",
+    "unobserved": "are not known to have met the same world, because one of them does not observe it",
 }
 # See docs/decisions/pairs-met-the-same-world.md.
 FAULTS = ("facts", "repeated")
@@ -207,8 +207,8 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
                 for name, seeds, sizes, scenarios in sides
             )
             return (
-                f"{self.comparison}: no run of both has the same seed, scenario, fleet size and number: found {both}; "
-                "simulate one as the other"
+                f"{self.comparison}: no runs of both have the same seed, scenario, fleet size and number: found "
+                f"{both}; simulate both alike"
             )
         return (
             f"{self.comparison}: every pair of runs ({self.left_out:,}) is left out, as said above; simulate both "
@@ -260,7 +260,7 @@ def not_compared(database: Database) -> list[str]:
     if all(row["nameless"] == row["runs"] for row in kinds):
         return [
             f"found {named}, all without seed, scenario, fleet size or number; runs that are not known to have met one "
-            "world are no pairs"
+            "world are not paired"
         ]
     return [f"found {named}; expected two architectures, or the configurations of one"]
 
@@ -330,9 +330,9 @@ def remarks_on(rows: Sequence[StatisticRow], metrics: Sequence[str]) -> list[str
             ]
             if missing:
                 lines[
-                    f"{comparison}: {where}no pair of runs in which both have a value of {', '.join(missing)}: "
+                    f"{comparison}: {where}no pair of runs has a value of {', '.join(missing)} on both sides: "
                     "undefined, or not observed"
                 ] = None
         if max(pairs.values()) == 1:
-            lines[f"{comparison}: one pair of runs has a difference and no test; simulate more runs"] = None
+            lines[f"{comparison}: one pair of runs has a difference but no test; simulate more runs"] = None
     return list(lines)

@@ -298,7 +298,7 @@ def _requested_side(option: str, text: str | None, held: Sequence[Side], place: 
         return hits[0]
     name = printable.value(text)
     if hits:
-        raise UsageError(f"{option} {name}: found {len(hits):,} such in {place}: {_listed(hits)}; name one of them")
+        raise UsageError(f"{option} {name}: found {len(hits):,} sides in {place}: {_listed(hits)}; name one of them")
     raise UsageError(
         f"{option} {name}: found no such runs in {place}, expected ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]: "
         f"it holds {_listed(held)}"
@@ -329,7 +329,7 @@ def _like(side: Side | None, others: Sequence[Side], option: str, ledger: str) -
     alike = _alike(side, others) or list(others)
     if len(alike) != 1:
         raise UsageError(
-            f"{option} is missing: found {len(alike):,} that may be meant in {ledger}: {_listed(alike)}; name one"
+            f"{option} is missing: found {len(alike):,} possible sides in {ledger}: {_listed(alike)}; name one"
         )
     return alike[0]
 

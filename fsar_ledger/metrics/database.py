@@ -281,8 +281,8 @@ def slice_answers(
     slice_ = slice_of(view, runs, view.extents(), SLICE_EVENTS)
     if slice_.digest != digest:
         raise SequenceConflict(
-            f"{ledger}: found other events where another process read some of it, expected the same; is it the same "
-            "folder there, and was it compacted meanwhile? run it again"
+            f"{ledger}: found other events than another process that read part of it, expected the same; check that "
+            "it is the same folder there, and run it again if it was compacted meanwhile"
         )
     return cuts.answers(slice_, view.head, None, queries, threads=1)  # a worker of a cluster has one core
 

@@ -37,7 +37,7 @@ from fsar_ledger.metrics.sql_values import ON_RECORD
 
 GROUPS = {
     "audit": "what an auditor asks: who asked, who decided, under which authority and policy",
-    "invariants": "every event that offends a rule, I1 to I5 and A1 to A5",
+    "invariants": "every event that violates a rule, I1 to I5 and A1 to A5",
     "metrics": "what the metrics measure, and of which runs",
     "cases": "the paper's four cases, claim by claim, and the events behind each number",
     "facts": "what the events mean: failures, decisions, conflicts, policies in force",

@@ -62,8 +62,8 @@ class Completeness(msgspec.Struct, frozen=True):
     def sentence(self) -> str:
         """Return the result in one sentence, also if nothing is missing."""
         if not self.plans:
-            return "no plan is on record, so nothing says whether these are all the runs that were meant"
-        text = self.warning() or "all runs that were planned are there"
+            return "no plan is on record, so nothing shows whether any runs are missing"
+        text = self.warning() or "all planned runs are there"
         return f"{text}; {self.unplanned:,} runs are in no plan" if self.unplanned else text
 
 
@@ -196,7 +196,7 @@ def _lacking(database: Database, named: str = "", run: str | None = None, judge:
 def unobserved_line(found: Iterable[Unobserved]) -> str | None:
     """Return one line for display; None if every run observes everything."""
     parts = unobserved_text(found)
-    return f"not observed, so that the answer says nothing about it: {parts}" if parts else None
+    return f"not observed, so the answer says nothing about it: {parts}" if parts else None
 
 
 def unobserved_text(found: Iterable[Unobserved]) -> str:

@@ -244,7 +244,7 @@ def typed(rows: list[dict[str, Any]], kind: type[_Row]) -> list[_Row]:
         return msgspec.convert(rows, list[kind])  # type: ignore[valid-type]
     except msgspec.ValidationError as error:
         raise LedgerCorrupted(
-            f"the answer: found a row that no events give ({error}), expected what {kind.__name__} holds; run "
+            f"the answer: found a row that no events can give ({error}), expected what {kind.__name__} holds; run "
             "fsar-ledger verify"
         ) from error
 

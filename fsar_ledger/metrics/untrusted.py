@@ -225,15 +225,15 @@ def cause_of_death(code: int | None, said: str, limits: Limits) -> str:
     if code is None:
         return "closed its pipe and did not end; please report this"
     if code >= 0:
-        return f"ended with exit code {code}, as when it cannot start; the last that it wrote: {last}"
+        return f"ended with exit code {code}, as when it cannot start; its last output: {last}"
     killer = next((known for known in signal.Signals if known == -code), None)
     if killer == signal.SIGXCPU:
         return f"used {limits.seconds + GRACE_S} s of processor time, and its limit is {limits.seconds} s; ask for less"
     if killer == signal.SIGKILL:
-        return "was killed from outside (SIGKILL), as a system does that is short of memory; see to that and ask again"
+        return "was killed from outside (SIGKILL), perhaps because memory is short; free some memory and ask again"
     if killer in (signal.SIGSEGV, signal.SIGBUS):
         return (
-            f"crashed ({signal.Signals(-code).name}): values nest too deep for it, or DuckDB has an error there; ask "
-            "for it in another way"
+            f"crashed ({signal.Signals(-code).name}): values are nested too deeply, or DuckDB has a bug there; ask for "
+            "it in another way"
         )
-    return f"was ended by {f'signal {-code}' if killer is None else killer.name}; the last that it wrote: {last}"
+    return f"was ended by {f'signal {-code}' if killer is None else killer.name}; its last output: {last}"

@@ -206,8 +206,7 @@ def ensure_verified(ledger: Path, workers: int = 1, progress: Progress | None = 
         first, *others = report.problems
         more = f" ({len(others)} more of these)" if others else ""
         raise LedgerCorrupted(
-            f"{ledger}: {first}{more}; no answer is given from rows that are not those under the root, run fsar-ledger "
-            "verify"
+            f"{ledger}: {first}{more}; no answer is given from rows that do not match the root, run fsar-ledger verify"
         )
     return report.record_sha256
 

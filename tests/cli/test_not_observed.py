@@ -104,7 +104,7 @@ def test_runs_without_a_scenario_are_named_where_rows_are_by_scenario(call: Call
 def test_a_question_with_an_empty_answer_says_what_was_not_observed(call: Call, members: Path) -> None:
     said = call("query", "skipped_levels", members, "--json")
     assert json.loads(said.out).get("not_observed") == [{"concern": "recovery", "runs": 1, "of_runs": 1}]
-    assert "not observed, so that the answer says nothing about it: recovery (1 of 1 runs)" in said.err
+    assert "not observed, so the answer says nothing about it: recovery (1 of 1 runs)" in said.err
     joined = call("query", "robot_joined", members, "--json")
     assert "not_observed" not in json.loads(joined.out)
     assert "not observed" not in joined.err

@@ -45,13 +45,13 @@ def death_of(code: str) -> str:
             ),
             "ran out of",
         ),
-        ("import os; os.abort()", "was ended by SIGABRT; the last that it wrote: nothing"),
+        ("import os; os.abort()", "was ended by SIGABRT; its last output: nothing"),
         ("import os; os.kill(os.getpid(), 9)", "was killed from outside (SIGKILL)"),
-        ("import os; os.kill(os.getpid(), 11)", "crashed (SIGSEGV): values nest too deep for it"),
+        ("import os; os.kill(os.getpid(), 11)", "crashed (SIGSEGV): values are nested too deeply"),
         ("import os; os.kill(os.getpid(), 15)", "was ended by SIGTERM"),
         (
             "import nothing_of_this_name",
-            "exit code 1, as when it cannot start; the last that it wrote: ModuleNotFoundError",
+            "exit code 1, as when it cannot start; its last output: ModuleNotFoundError",
         ),
     ],
 )
@@ -65,9 +65,7 @@ def test_a_process_that_closes_its_pipe_and_lives_is_told_too() -> None:
 
 def test_a_process_that_cannot_start_says_so(ledger: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "path", [])
-    with pytest.raises(
-        QueryFailed, match="exit code 1, as when it cannot start; the last that it wrote: ModuleNotFoundError"
-    ):
+    with pytest.raises(QueryFailed, match="exit code 1, as when it cannot start; its last output: ModuleNotFoundError"):
         run_untrusted(ledger, "SELECT 1")
 
 

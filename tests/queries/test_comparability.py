@@ -193,13 +193,13 @@ def test_what_cannot_be_compared_is_said_with_what_it_takes() -> None:
         (
             [of("fsar", 0), of("cfc", 0, seed=7)],
             (
-                "no run of both has the same seed, scenario, fleet size and number: found fsar (full) under seeds "
+                "no runs of both have the same seed, scenario, fleet size and number: found fsar (full) under seeds "
                 "42, 4 robots"
             ),
         ),
         (
             [of("fsar", 0), of("cfc", 0, fleet_size=8)],
-            "cfc (full) under seeds 42, 8 robots, door-relay; simulate one as the other",
+            "cfc (full) under seeds 42, 8 robots, door-relay; simulate both alike",
         ),
         (
             [of("fsar", 0, seed=None, kind="foreign")],
@@ -220,8 +220,8 @@ def test_what_rows_do_not_show_is_said() -> None:
     _, _, rows = said(of("fsar", 0), of("cfc", 0))
     metrics = [row.metric for row in rows]
     assert remarks_on(rows, [*metrics, "audit_attributability"]) == [
-        "fsar-cfc: no pair of runs in which both have a value of audit_attributability: undefined, or not observed",
-        "fsar-cfc: one pair of runs has a difference and no test; simulate more runs",
+        "fsar-cfc: no pair of runs has a value of audit_attributability on both sides: undefined, or not observed",
+        "fsar-cfc: one pair of runs has a difference but no test; simulate more runs",
     ]
 
 
@@ -235,9 +235,9 @@ def test_what_rows_of_one_seed_lack_is_not_said_of_all_seeds() -> None:
         "fsar-cfc: under some seeds or settings no Wilcoxon test of human_intervention: fewer than 6 pairs differ"
     ]
     assert remarks_on(rows, ["true_attribution"]) == [
-        "fsar-cfc: under some seeds or settings no pair of runs in which both have a value of true_attribution: "
+        "fsar-cfc: under some seeds or settings no pair of runs has a value of true_attribution on both sides: "
         "undefined, or not observed",
-        "fsar-cfc: one pair of runs has a difference and no test; simulate more runs",
+        "fsar-cfc: one pair of runs has a difference but no test; simulate more runs",
     ]
 
 

@@ -245,7 +245,7 @@ def test_of_two_ledgers_the_one_side_in_common_is_meant() -> None:
     assert chosen([[fsar, cfc], [cfc, large]], ("fsar", None), ["one", "other"]) == (fsar, large)
     with pytest.raises(UsageError, match="found 2 sides in common, expected --first NAME"):
         chosen([[fsar, cfc], [fsar, cfc]], (None, None), ["one", "other"])
-    with pytest.raises(UsageError, match="found 2 such in one: fsar:full@A/4"):
+    with pytest.raises(UsageError, match="found 2 sides in one: fsar:full@A/4"):
         chosen([[fsar, large], [cfc]], ("fsar", None), ["one", "other"])
 
 
