@@ -198,7 +198,7 @@ def read_ledger(ledger: Path, demanded: str | None, *, is_workflows: bool = Fals
             parts |= experiments_of(database)
     if not parts:
         raise UsageError(
-            f"--with {ledger}: found no run of a workflow, without a mechanism, of another fleet than of four robots, "
+            f"--with {ledger}: found no run of a workflow, without a mechanism, of a fleet of other than four robots, "
             "or of the scenario churn, expected some of these; `fsar-ledger reproduce` makes all but the last"
         )
     return parts

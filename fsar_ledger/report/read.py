@@ -263,9 +263,7 @@ def _shown_runs_note(main: Main | None, rows: Sequence[MetricRow]) -> str | None
         return None
     setting = of_all_seeds(main)
     parts = (f"{setting['kind']} runs", setting["source"], f"model {setting['model_version']}", setting["constants"])
-    return (
-        f"The tables are of {', '.join(filter(None, parts))}; runs made otherwise are never taken together with these."
-    )
+    return f"The tables are of {', '.join(filter(None, parts))}; runs made otherwise are never pooled with these."
 
 
 def _models(database: Database, main: Main | None) -> tuple[list[dict[str, Any]], dict[str, str], str | None]:
