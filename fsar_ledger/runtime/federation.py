@@ -361,7 +361,7 @@ class Federation:
             made = live.take(self.run)  # already on disk
         if live is None or not _is_same(made, record):
             difference = replay_run(record)
-            raise UsageError(f"run {value(self.run)} cannot go on, since it would go on otherwise: {difference}")
+            raise UsageError(f"run {value(self.run)} cannot continue, since it would continue otherwise: {difference}")
         self._live, self._before = live, len(record.events) - own
         self._begin(started, record.times_us[self._before + 1] if self._before else 0)
         self._remember_from(record)

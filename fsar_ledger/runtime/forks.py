@@ -312,7 +312,7 @@ def fork(base: Recipe, record: LedgerRun, root: str, changes: Changes) -> Fork:
     end = kernel.end if isinstance(kernel, LiveKernel) else None
     first = parts_at(record if end is None else until(record, end.time_us), record_of(kernel))
     if end is None and first is not None and recipe.live is not None and recipe.live.until_us != NEVER_US:
-        end = End(recipe.live.until_us, None, "the record ends there, and the run goes on")
+        end = End(recipe.live.until_us, None, "the record ends there, and the run continues")
     origin = msgspec.structs.replace(
         started_of(base),
         forked_from_root=root,

@@ -71,7 +71,7 @@ def isolation_of(path: Path, robot: str) -> Isolation:
     view = _opened(path)
     run = next(filter(partial(_is_of_a_fleet, view), reversed(view.run_names.runs)), None)
     if run is None:
-        raise UsageError(f"{path}: found no run of a live fleet, expected one that {value(robot)} goes on from")
+        raise UsageError(f"{path}: found no run of a live fleet, expected one that {value(robot)} continues from")
     return _isolation(view, run, recorded_robot(robot), view.head.size, view.head.root)
 
 

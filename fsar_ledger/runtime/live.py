@@ -303,7 +303,7 @@ class LiveKernel(Kernel):
         answer = self._answer_anew(name, ask)
         if answer is None:
             unsaid = _UNSAID["end" if name.endswith(REST) else name.partition(":")[0]].format(whom=whom, about=about)
-            self.end = End(time_us, name, f"nobody on record says {unsaid}")
+            self.end = End(time_us, name, f"the record does not say {unsaid}")
             return None
         self._lost.add((about, ask.port))
         return answer

@@ -146,9 +146,9 @@ def _remarks_on_digests(digests: Sequence[ForeignDigest]) -> Iterator[str]:
         first = (unlike or digests)[0]
         outcome = f"{len(unlike):,} not compared" if unlike else "the same here"
         yield (
-            f"state at cuts: {counted(len(digests), 'digest')} of a state that was kept in another shape "
+            f"state at cuts: {counted(len(digests), 'digest')} of a state that was stored in another shape "
             f"({value(first.shape)}, here {value(state_shape())}): {outcome}, first of run {value(first.run)}, seq "
-            f"{first.seq}; all from which it follows was made again"
+            f"{first.seq}; everything that it follows from was replayed"
         )
 
 

@@ -319,7 +319,7 @@ def _start_replay(record: LedgerRun, is_recorded: bool, rules: Rules) -> _Replay
     if not isinstance(started, RunStarted):
         raise _Mismatch(record.run_id, 0, "type", None, "RunStarted.v2", _describe_event(started, record.times_us[0]))
     if (before := continued_by(record)) is not None:
-        expected = "a run that the ledger holds before this one, since this one goes on from its state"
+        expected = "a run that the ledger holds before this one, since this one continues from its state"
         raise _Mismatch(record.run_id, 1, "continues", None, expected, f"{before!r}")
     try:
         if started.kind == "live" and started.source == SOURCE:

@@ -81,7 +81,7 @@ def test_why_tells_which_rule_denied_and_which_events_let_a_request_be_admitted(
 @pytest.mark.slow
 def test_what_if_tells_where_the_fork_ends_and_compares_nothing_after_it(call: Call, hall: Path) -> None:
     told = call("whatif", hall, "--run", "day", "--change", RULE).good().out
-    assert "the fork ends at 12.000 s: nobody on record says whether robot/B1 takes t/2.2\n" in told
+    assert "the fork ends at 12.000 s: the record does not say whether robot/B1 takes t/2.2\n" in told
     assert '`--change "answer admission:t/2.2 ANSWER"` answers that; `--answers model:7` lets the model answer' in told
     assert "not given there, because nothing asks for it: 4 commands on record, ReportStart of robot/B1" in told
     assert "all tasks end alike" not in told
@@ -126,7 +126,7 @@ def test_a_fork_without_a_change_has_the_same_events(hall: Path) -> None:
         fork = Ledger(hall).fork(run, [])
         assert (fork.parts_at, fork.ends) == (None, None)
         assert list(fork.record.events[1:]) == list(fork.base.events[1:])
-    assert Ledger(hall).fork("day", [RULE]).ends == "nobody on record says whether robot/B1 takes t/2.2"
+    assert Ledger(hall).fork("day", [RULE]).ends == "the record does not say whether robot/B1 takes t/2.2"
 
 
 def test_what_a_change_can_name_is_listed(call: Call, hall: Path) -> None:

@@ -59,8 +59,8 @@ def test_a_digest_of_another_shape_accuses_nobody_and_is_said_not_to_be_compared
     assert run(["verify", str(written(tmp_path / "other", told)), "--replay"]) == 0
     [remark] = [line for line in capsys.readouterr().out.splitlines() if line.startswith("state at cuts")]
     assert remark == (
-        f"state at cuts: 1 digest of a state that was kept in another shape ({OTHER_SHAPE}, here {state_shape()}): "
-        f"1 not compared, first of run hall.2, seq {len(parts[0].events)}; all from which it follows was made again"
+        f"state at cuts: 1 digest of a state that was stored in another shape ({OTHER_SHAPE}, here {state_shape()}): "
+        f"1 not compared, first of run hall.2, seq {len(parts[0].events)}; everything that it follows from was replayed"
     )
 
 

@@ -66,7 +66,7 @@ def test_a_rule_flips_an_admission_and_the_fork_ends_where_the_door_is_asked_aga
     assert not of(fork, RequestAdmitted)
     end = known(fork.end)
     assert end.question == "admission:t/2.2"
-    assert end.words == "nobody on record says whether robot/B1 takes t/2.2"
+    assert end.words == "the record does not say whether robot/B1 takes t/2.2"
     assert 11 * S < end.time_us < 12 * S, "the carrier asks again after its back-off of 7 s"
     assert fork.record.times_us[-1] <= end.time_us
     assert left_out(fork) == ["ReportStart", "ReportResult", "ReportStart", "ReportResult"]
@@ -128,7 +128,7 @@ def test_an_execution_of_unknown_length_ends_by_the_record_or_by_the_change_and_
     later = [FAILS, f"answer retry:{OPENING}/1/2 2s", f"answer attempt:retry/{OPENING}/1/2 hold"]
     end = known(base.fork_with_effect(parsed(later)).end)
     assert end.question == f"execution:{OPENING}/rest"
-    assert end.words == f"nobody on record says when robot/B1 ends {OPENING}"
+    assert end.words == f"the record does not say when robot/B1 ends {OPENING}"
     fork = base.fork_with_effect(parsed([*later, f"answer execution:{OPENING}/rest 3s"]))
     [resumed] = [time_us for time_us, event in pairs(fork) if isinstance(event, ExecutionResumed)]
     ended = [(time_us, event) for time_us, event in pairs(fork) if isinstance(event, ExecutionFinished)]
@@ -300,7 +300,7 @@ def test_the_fork_of_a_run_that_goes_on_ends_with_its_record() -> None:
     base = again(opening())  # the door opens, and its task has a budget
     assert known(base.base.recipe.live).until_us != NEVER_US
     fork = base.fork_with_effect(parsed([DENIED]))
-    assert known(fork.end) == (base.base.record.times_us[-1], None, "the record ends there, and the run goes on")
+    assert known(fork.end) == (base.base.record.times_us[-1], None, "the record ends there, and the run continues")
     assert known(again(relay()).base.recipe.live).until_us == NEVER_US
 
 

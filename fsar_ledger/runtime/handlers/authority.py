@@ -43,7 +43,7 @@ HANDLERS = Handlers()
 
 
 class GrantAuthority(PublicCommand):
-    """Let the requester ask this (None: anyone, anything, in any context), up to the override level."""
+    """Let the requester request this (None: of anyone, anything, in any context), up to the override level."""
 
     supervisor: Supervisor
     requester: Robot
@@ -54,7 +54,7 @@ class GrantAuthority(PublicCommand):
 
 
 class RevokeAuthority(PublicCommand):
-    """Stop letting the requester ask this (None: anyone, anything, in any context)."""
+    """Stop letting the requester request this (None: of anyone, anything, in any context)."""
 
     supervisor: Supervisor
     requester: Robot

@@ -68,7 +68,7 @@ class JoinFleet(PublicCommand):
 
 
 class LeaveFleet(PublicCommand):
-    """Take the robot out of the fleet, by its own word (`issued_by` None) or that of who is in charge of it."""
+    """Remove the robot from the fleet, on its own authority (`issued_by` None) or that of a supervisor."""
 
     robot: Robot
     issued_by: Supervisor | None = None

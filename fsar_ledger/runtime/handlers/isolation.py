@@ -88,7 +88,7 @@ MOST_DIGITS = 9
 
 
 class HandOver(RobotReport):
-    """Hand over what the robot did by itself, in a run of its own, now that the federation is back.
+    """Hand over the work that the robot did in isolation, in a run of its own, now that it has its federation again.
 
     The run, the number of its last event and the root of its ledger are as in `IsolationEnded`. `since_fence` is the
     number under which the robot reported when it began. Each of `results` is a step and how it ended, as

@@ -44,7 +44,7 @@ class SetRecoveryBudget(PublicCommand):
 
 
 class ReportFailure(RobotReport):
-    """Report that what the executor executes has failed."""
+    """Report that the action which the executor executes has failed."""
 
     robot: Robot
     action_id: str

@@ -78,7 +78,7 @@ def queried(
 
 
 class ConsultRegistry(PublicCommand):
-    """Look into the registry outside of any request; with `cache_holder`, into that robot's copy."""
+    """Consult the registry outside any request; with `cache_holder`, that robot's copy of it."""
 
     query: Query
     cache_holder: Robot | None = None
@@ -148,7 +148,7 @@ class AdvertiseCapability(PublicCommand):
 
 
 class WithdrawCapability(PublicCommand):
-    """Take the capability off the surface; the robot keeps it."""
+    """Withdraw the capability from the robot's surface; the robot keeps it."""
 
     robot: Robot
     capability: str
@@ -167,7 +167,7 @@ class ReportAvailability(PublicCommand):
 
 
 class DeprecateCapability(PublicCommand):
-    """Deprecate the advertised version, for the successor if there is one."""
+    """Deprecate the advertised version, in favour of the successor if there is one."""
 
     robot: Robot
     capability: str

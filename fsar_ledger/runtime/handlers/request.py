@@ -54,7 +54,7 @@ class RequestCapability(PublicCommand):
 
 
 class AnswerOffer(PublicCommand):
-    """Answer a counter-offer: take it, ask for this other override level, or (neither) let go."""
+    """Answer a counter-offer: accept it, ask for this other override level, or (neither) give up."""
 
     requester: Robot
     action_id: str

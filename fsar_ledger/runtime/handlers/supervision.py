@@ -39,7 +39,7 @@ class RespondToCall(PublicCommand):
 
 
 class SetSupervisionDensity(PublicCommand):
-    """Ask to see one in so many admissions of the robot (None: of every robot); 0 is none."""
+    """Review one in so many admissions by the robot (None: by every robot); 0 means none."""
 
     issued_by: Supervisor
     robot: Robot | None

@@ -58,7 +58,7 @@ DECLINED = "declined"
 
 
 class JudgeRequest(RobotReport):
-    """Judge a request that came to the robot: it may refuse what all rules allow, and allows nothing that they deny."""
+    """Judge a request to the robot: it may refuse what all rules allow, but not allow what they deny."""
 
     robot: Robot
     action_id: str
@@ -74,7 +74,7 @@ class JudgeAssistance(RobotReport):
 
 
 class ReportStart(RobotReport):
-    """Begin to execute: the robot moves once this is not refused. Units: `lasts_us` microseconds; None: not known."""
+    """Begin to execute: the robot moves only if this is not refused. Units: `lasts_us` microseconds; None: unknown."""
 
     robot: Robot
     action_id: str
@@ -90,7 +90,7 @@ class ReportAttempt(RobotReport):
 
 
 class ReportAssistance(RobotReport):
-    """Report how the help with another robot's failure ended; where it did not help, by what cause."""
+    """Report how the help with another robot's failure ended, and if it did not help, for what cause."""
 
     robot: Robot
     action_id: str
@@ -120,13 +120,13 @@ class ReportActuator(PublicCommand):
 
 
 class ReportContext(PublicCommand):
-    """Report that the context has changed in which the robot works."""
+    """Report that the context in which the robot works has changed."""
 
     robot: Robot
 
 
 class ReportWindow(PublicCommand):
-    """Report that a time begins in which the robot's own policy, or the fleet's, is this; None: that it ends."""
+    """Report that a window begins in which the robot's own policy, or the fleet's, has this outcome; None: it ends."""
 
     robot: Robot
     scope: PolicyScope
