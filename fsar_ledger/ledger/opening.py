@@ -204,7 +204,7 @@ def present(log: Path, heads: Sequence[shards.ShardHead], places: Sequence[Path]
         if (other := views.get(origin)) is not None and _real(other.path) != real:
             raise UsageError(
                 f"{folder}: {shards.TWICE}: found a ledger of origin {printable.value(origin)}, which {other.path} "
-                "has, too, expected an origin for each shard; make it under a name of its own (--origin), or record one"
+                "also has, expected an origin for each shard; make it under a name of its own (--origin), or record one"
             )
         recorded_head = at_place.get(real, recorded.get(origin))
         if recorded_head is not None and (problem := shards.doubt_of(recorded_head, view, heads)) is not None:

@@ -187,7 +187,7 @@ class Service:
             self._budgets[principal] = (left, now)
             wait = f"{(1 - left) / self._rate:.3f}"
             raise HttpError(
-                429, f"found more than {self._rate:g} commands a second of {principal}; wait {wait} s", retry_after="1"
+                429, f"found more than {self._rate:g} commands a second by {principal}; wait {wait} s", retry_after="1"
             )
         self._budgets[principal] = (left - 1, now)
 

@@ -155,7 +155,7 @@ def test_a_ledger_is_recorded_once_under_one_origin(site_copy: Path, runs: list[
     with pytest.raises(UsageError, match=r"shown twice: found a ledger of origin example\.org/west"):
         fsar_ledger.shards(site_copy / "log", [site_copy / "twin"])
     append(site_copy / "again", parts(runs)[1])
-    with pytest.raises(UsageError, match=r"shown twice: run .* which shard example\.org/west holds, too"):
+    with pytest.raises(UsageError, match=r"shown twice: run .* which shard example\.org/west also holds"):
         fsar_ledger.shards(site_copy / "log", [site_copy / "again"])
     with pytest.raises(UsageError, match="a federation itself"):
         fsar_ledger.shards(site_copy / "log", [site_copy / "log"])

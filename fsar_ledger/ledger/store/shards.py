@@ -359,7 +359,7 @@ def twice(views: Mapping[str, View]) -> Problem | None:
         for run in (*names.runs, *names.plans):
             if (other := seen.setdefault(run, origin)) != origin:
                 place = str(view.path)
-                was = f"{TWICE}: run {printable.value(run)}, which shard {printable.value(other)} holds, too"
+                was = f"{TWICE}: run {printable.value(run)}, which shard {printable.value(other)} also holds"
                 return Problem(place, was, "runs that no other shard holds; leave one of the two out")
     return None
 
