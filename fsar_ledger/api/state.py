@@ -55,10 +55,11 @@ class Moment(Answer, msgspec.Struct, frozen=True, kw_only=True):
 
     def text(self, screen: Screen) -> Iterator[printable.SafeText]:
         """Yield the situation, and what was believed."""
+        ends = " of" if self.at_s <= self.ends_s else ", after the recorded events, which end at"  # with --by-commit
         yield printable.lines(
             screen.run_text(self.run),
             *([] if self.clock is None else [f"at {self.clock}"]),
-            f"at {self.at_s:.3f} s of {self.ends_s:.3f} s, after event {self.seq} at {self.event_s:.3f} s",
+            f"at {self.at_s:.3f} s{ends} {self.ends_s:.3f} s, after event {self.seq} at {self.event_s:.3f} s",
             f"recorded with commit {self.commit}",
             *standing_lines(self.standing),
         )

@@ -28,10 +28,11 @@ def test_a_failed_attempt_that_is_told_twice_is_one_use_of_the_budget() -> None:
     history = run(budget, about("ExecutionFailed", 1 * S), *attempts)
     assert answer("invariants/i4_outward_recovery", history) == []
     assert [seq for (seq,) in answer("facts/recovery_acts", history, columns=("seq",))] == [2, 3, 6, 7]
-    history[1]["n_max"] = 1
-    assert answer("invariants/i4_outward_recovery", history, columns=("seq", "found")) == [
-        (6, "failure 1: use 2 of level local, which has a budget of 1")
-    ]
+    assert answer(
+        "invariants/i4_outward_recovery",
+        run({**budget, "n_max": 1}, about("ExecutionFailed", S), *attempts),
+        columns=("seq", "found"),
+    ) == [(6, "failure 1: use 2 of level local, which has a budget of 1")]
 
 
 def test_of_claims_made_at_one_moment_the_second_begins_the_conflict() -> None:

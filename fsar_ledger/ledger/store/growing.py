@@ -85,7 +85,9 @@ def append_durably(path: Path, data: bytes, end: int) -> None:
     Until all is on disk, a NUL replaces the last line feed. So any line that readers see as whole is durable. That line
     feed is on disk after `sync`, or with the next append.
 
-    If the disk refuses, the file is truncated back to `end`. Raises: OSError; Uncertain if it refuses that, too.
+    If the disk refuses, the file is truncated back to `end`.
+
+    Raises: OSError; Uncertain if it refuses that, too, or only to close the file.
     """
     handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
     try:
@@ -98,8 +100,13 @@ def append_durably(path: Path, data: bytes, end: int) -> None:
         except BaseException as error:
             take_back(handle, end, end + len(data) - 1, error)
             raise
-    finally:
+    except BaseException:
+        disk.close(handle)  # what it refuses says nothing of the commit
+        raise
+    try:
         os.close(handle)
+    except OSError as error:  # the data are visible, and the file cannot be truncated any more
+        raise disk.Uncertain(error.errno, error.strerror) from error
 
 
 def take_back(handle: int, end: int, shown: int, error: BaseException) -> None:
