@@ -131,8 +131,9 @@ def test_what_a_reader_sees_beside_a_disk_that_refuses_stays(tmp_path: Path, cal
 def test_no_commit_that_is_there_is_said_not_to_be_made_where_its_file_cannot_be_closed(
     tmp_path: Path, calls: list[str], name: str, kind: str
 ) -> None:
-    path, shown = tmp_path / "out" / "ledger", calls.index("fdatasync")  # of the first line of the chain
-    session = write_with(FaultyOs(tmp_path, Fault(calls.index(name, shown + (5 if name == "close" else 0)), kind)), path)
+    path, synced = tmp_path / "out" / "ledger", calls.index("fdatasync")  # of the first line of the chain
+    refused = calls.index(name, synced + (5 if name == "close" else 0))  # the folder is synced and closed between
+    session = write_with(FaultyOs(tmp_path, Fault(refused, kind)), path)
     assert max(roots_of(path)) > session.acknowledged
     assert "it is unknown whether the commit is there" in str(session.error)
 
