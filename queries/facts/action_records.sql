@@ -21,7 +21,12 @@ WITH records AS (
         -- An action that an isolated robot failed to complete is still to be done.
         is_last AND events.type IN ('ExecutionFinished.v1', 'RequestClosed.v1')
         OR (is_last AND events.type = 'IsolatedResultAccepted.v1' AND events.result = 'success') AS is_end,
-        is_last AND events.type IN ('RequestDenied.v1', 'RequestUnanswered.v1') AS is_refusal
+        is_last AND events.type IN ('RequestDenied.v1', 'RequestUnanswered.v1') AS is_refusal,
+        -- An answer about a request that was closed meanwhile allows nothing.
+        arg_max(events.type, told.seq) FILTER (
+            events.type IN ('RequestIssued.v1', 'SupervisorCalled.v1', 'RequestClosed.v1')
+        ) OVER (PARTITION BY told.run_id, told.action_id ORDER BY told.seq)
+        IS DISTINCT FROM 'RequestClosed.v1' AS is_open
     FROM action_events AS told
     INNER JOIN events ON told.run_id = events.run_id AND told.seq = events.seq
 )
@@ -35,7 +40,7 @@ SELECT
     ) AS asked_by,
     string_agg(DISTINCT decided_by, ' and ' ORDER BY decided_by) FILTER (
         type IN ('RequestAdmitted.v1', 'CommandIssued.v1', 'OwnStepDecided.v1')
-        OR (type = 'SupervisorResponded.v1' AND purpose = 'review' AND approves)
+        OR (type = 'SupervisorResponded.v1' AND purpose = 'review' AND approves AND is_open)
     ) AS allowed_by,
     string_agg(DISTINCT executed_by, ' and ' ORDER BY executed_by) FILTER (is_deed) AS executed_by,
     list(coalesce(if(type = 'SupervisorResponded.v1', decided_by, NULL), supervised_by) ORDER BY seq) FILTER (

@@ -134,7 +134,7 @@ TAKES_ALL_MEMORY = {
     ),
     "JSON that nests too deep": (
         "SELECT ((repeat('[', 100000) || repeat(']', 100000))::JSON::VARIANT)::VARCHAR AS x",
-        "nest too deep",
+        "nested too deeply",
     ),
     "too many rows": ("SELECT * FROM range(100001)", "more than 100,000 rows"),
     "too many bytes": ("SELECT repeat('x', 1000) AS x FROM range(20000)", "more than 8,388,608 bytes"),

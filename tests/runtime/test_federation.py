@@ -213,7 +213,7 @@ def test_a_run_that_would_go_on_otherwise_is_refused(tmp_path: Path, monkeypatch
         one.advance()
         one.give("ReportStart", A, robot=A, action_id="t/1.1")
     monkeypatch.setitem(FSAR.decides, ReportStart, lambda *_: ())  # type: ignore[misc]
-    with pytest.raises(UsageError, match=r"run day cannot go on.*found ExecutionStarted"):
+    with pytest.raises(UsageError, match=r"run day cannot continue.*found ExecutionStarted"):
         federate(tmp_path / "ledger")
 
 
@@ -304,7 +304,7 @@ NO_COMMANDS: tuple[tuple[Any, str], ...] = (
     (b"nonsense\n", "JSON is malformed"),
     (b"\xff\xfe\n", "expected a JSON object"),
     (b"[" * 100_000 + b"\n", "expected a JSON object"),
-    (b" " * MAX_LINE + b' {"command": "ReportContext", "by": "A", "robot": "A"}\n', "expected one command a line"),
+    (b" " * MAX_LINE + b' {"command": "ReportContext", "by": "A", "robot": "A"}\n', "expected one command per line"),
     (b'{"command": "ReportContext", "by": "robot/B1", "by": "robot/A1"}\n', "field by: found it more than once"),
     ({"by": A}, "field command: found None, expected text"),
     ({"command": "ReportStart", "by": 7}, "field by: found 7, expected text"),

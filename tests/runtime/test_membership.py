@@ -20,6 +20,7 @@ from fsar_ledger.events.registry import AvailabilityChanged, RegistryQueried
 from fsar_ledger.events.request import RequestClosed
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
+from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import surface
 from fsar_ledger.runtime.architectures.fsar import FSAR
@@ -40,6 +41,7 @@ from fsar_ledger.runtime.handlers.task import SubmitTask
 from fsar_ledger.runtime.live import LiveRun, live_started
 from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.service.pages import OpenCall, overview
+from tests.recycled import from_table
 from tests.runtime.test_live import OPENING, A, B, C, D, Play, S, at_the_door, at_the_peers, done, opening
 
 
@@ -112,9 +114,18 @@ def test_a_review_that_is_answered_after_the_robot_has_left_allows_nothing_and_i
     play.does(leave(B))
     assert shown(play) == ()
     answer = RespondToCall(supervisor=FLEET_SUPERVISOR, action_id=OPENING, approves=True)
-    assert f"{play.give(answer)}".startswith("what the call was about has ended")
-    assert not play.of(SupervisorResponded)
+    assert play.does(answer).of(SupervisorResponded)
+    assert allowed(play) is None
     assert replay_run(play.wait(60).record) is None
+    in_time = at_the_door().does(review, JudgeRequest(robot=B, action_id=OPENING, accepts=True), answer, leave(B))
+    assert f"{FLEET_SUPERVISOR}" in f"{allowed(in_time)}"
+
+
+def allowed(play: Play) -> object:
+    """Who allowed the request, by the queries."""
+    with from_table(encode([play.record])) as database:
+        rows = database.rows("SELECT allowed_by FROM action_records WHERE action_id = $action", {"action": OPENING})
+    return rows[0]["allowed_by"]
 
 
 def shown(play: Play) -> tuple[OpenCall, ...]:

@@ -50,7 +50,7 @@ class Joining:
     name, version, format, clock, is_sampled = "joining", "1", "joining/1", "arrival", False
 
     def declares(self) -> Iterable[str]:
-        return ("RobotJoined",)
+        return ("RobotJoined", "RobotDeparted")
 
     def read(self, inputs: Iterable[Input]) -> Iterator[Record]:
         for one in inputs:

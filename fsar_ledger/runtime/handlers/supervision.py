@@ -110,7 +110,7 @@ def respond_to_call(
             command, command.action_id, f"{finding}, expected one to {command.supervisor}", command.supervisor
         )
     refused = _unfit(call, command)
-    if is_settled(state, call) or is_too_late(state, call):
+    if is_settled(state, call):
         refused = "what the call was about has ended, expected an action or a request under way"
     if refused is not None:
         return rejected(command, command.action_id, refused, command.supervisor)
