@@ -39,7 +39,7 @@ SOAKS := soak-tests soak-federation soak-load soak-crash soak-beside soak-damage
 help:
 	@echo "make setup       create .venv with the command fsar-ledger in it"
 	@echo "make reproduce   simulate the paper's experiments, measure them, typeset the report into $$OUT/"
-	@echo "make test        run every check and the tests, 8 minutes; skips tests that need an extra, and says so"
+	@echo "make test        run every check and the tests, 5 minutes; skips tests that need an extra, and says so"
 	@echo "make test-all    install the extras and run all tests but the soaks, 25 minutes; a skipped test is a failure"
 	@echo "make check       run the checks without the tests: style, types, imports, SQL"
 	@echo "make soak        run the long tests, for hours: $(SOAKS)"
