@@ -90,4 +90,4 @@ def test_forks_by_several_changes_are_told_apart_and_compared(call: Call, ledger
     said = call("compare", place, "--first", "fsar+fork1", "--second", "fsar+fork2").good().out.splitlines()
     assert said[0].startswith("first: fsar:full@A/4+fork1 (4 runs with drop window:*)")
     assert said[1].startswith("second: fsar:full@A/4+fork2 (4 runs with density all 1)")
-    one_message(call("compare", place, "--first", "fsar+fork", "--second", "fsar"), 2, "found 2 such", "name one of")
+    one_message(call("compare", place, "--first", "fsar+fork", "--second", "fsar"), 2, "found 2 sides", "name one of")

@@ -256,7 +256,7 @@ def test_a_macro_refuses_whatever_is_not_on_record(opened: Opened, call: str, ki
 
 @pytest.mark.slow
 def test_open_says_how_to_call_a_macro(ledger: Path, opened: Opened, tmp_path: Path) -> None:
-    macro = opened.said.partition("as `FROM ")[2].partition("`")[0]
+    macro = opened.said.partition("as in `FROM ")[2].partition("`")[0]
     (found,) = read_elsewhere(opened.file, tmp_path / "read", macro)
     assert sorted_rows(found) == sorted_rows(fsar_ledger.open_ledger(ledger).query("denials", run="1").rows())
 
