@@ -199,7 +199,8 @@ class Evaluations:
                 self._kept[answer.key] = answer
         except msgspec.MsgspecError as error:
             raise UsageError(
-                f"{self._path}: found a line that is not an evaluation ({error}); remove the file, or give another --out"
+                f"{self._path}: found a line that is not an evaluation ({error}); "
+                "remove the file, or give another --out"
             ) from error
 
     def _write(self, line: msgspec.Struct) -> None:
