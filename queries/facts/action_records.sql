@@ -23,10 +23,12 @@ WITH records AS (
         OR (is_last AND events.type = 'IsolatedResultAccepted.v1' AND events.result = 'success') AS is_end,
         is_last AND events.type IN ('RequestDenied.v1', 'RequestUnanswered.v1') AS is_refusal,
         -- An answer about a request that was closed meanwhile allows nothing.
-        arg_max(events.type, told.seq) FILTER (
-            events.type IN ('RequestIssued.v1', 'SupervisorCalled.v1', 'RequestClosed.v1')
-        ) OVER (PARTITION BY told.run_id, told.action_id ORDER BY told.seq)
-        IS DISTINCT FROM 'RequestClosed.v1' AS is_open
+        coalesce(
+            arg_max(events.type, told.seq) FILTER (
+                events.type IN ('RequestIssued.v1', 'SupervisorCalled.v1', 'RequestClosed.v1')
+            ) OVER (PARTITION BY told.run_id, told.action_id ORDER BY told.seq) <> 'RequestClosed.v1',
+            TRUE
+        ) AS is_open
     FROM action_events AS told
     INNER JOIN events ON told.run_id = events.run_id AND told.seq = events.seq
 )
