@@ -95,7 +95,7 @@ class Client:
         """
         if key is not None and not (key.isprintable() and key.encode("latin-1", "replace").decode("latin-1") == key):
             raise UsageError(f"key {key!r:.200}: expected characters of Latin-1 that can be printed, as a header has")
-        if key is not None and key.strip() != (key or None):
+        if key is not None and (not key or key != key.strip()):
             raise UsageError(f"key {key!r:.200}: expected at least one character, and no blank at either end")
         try:
             body = msgspec.json.encode(fields)
