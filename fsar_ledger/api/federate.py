@@ -17,6 +17,7 @@ from fsar_ledger.base.printable import SafeText
 
 from .answers import Answer, Plain, Screen
 from .key import origin_of as named_origin
+from .key import signer_of
 from .names import Names, Place, Run, names_of
 from .verbs import KeyOption, argument, declare, verb
 
@@ -85,7 +86,6 @@ def federate(
             `isolated` and `of` is given; or as `Federation` or `isolation_of`.
     """
     from fsar_ledger.ledger.opening import open_ledger
-    from fsar_ledger.ledger.store.keys import read_signer
     from fsar_ledger.runtime.federation import ORIGIN, Federation
     from fsar_ledger.runtime.isolation import isolation_of
     from fsar_ledger.sources.recorder import kept_origin, origin_of
@@ -99,7 +99,7 @@ def federate(
     isolated = isolated if isolated is None or "/" in isolated else f"robot/{isolated}"
     if not run:
         raise UsageError("run: found an empty name, expected a name")
-    path, signer = Path(out), None if key is None else read_signer(Path(key))
+    path, signer = Path(out), signer_of(key)
     name = origin_of(path, named_origin(origin), signer, ORIGIN)
     is_continued = kept_origin(path) is not None and open_ledger(path).has_run(run)
     federation = Federation(

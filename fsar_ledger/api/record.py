@@ -14,7 +14,7 @@ from fsar_ledger.base.printable import SafeText, counted
 from fsar_ledger.base.progress import Progress
 
 from .answers import Answer, Screen, head_json
-from .key import origin_of
+from .key import origin_of, signer_of
 from .names import Names, Place, names_of
 from .verbs import AdoptOption, Gives, KeyOption, Shows, argument, declare, switch, verb
 
@@ -60,7 +60,6 @@ def record(
 
     Raises: As `Recorder`.
     """
-    from fsar_ledger.ledger.store.keys import read_signer
     from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.sources.names import PrivateNames
     from fsar_ledger.sources.recorder import Recorder
@@ -75,7 +74,7 @@ def record(
         source=source,
         epoch=epoch,
         origin=origin_of(origin),
-        signer=None if key is None else read_signer(Path(key)),
+        signer=signer_of(key),
         names=None if private_names is None else PrivateNames(Path(private_names)),
     )
 
@@ -254,7 +253,6 @@ def import_records(
         UsageError: The recording is on file, is another one than that of this run, or is not of the format.
         WriteFailed: A write failed; what is committed stays.
     """
-    from fsar_ledger.ledger.store.keys import read_signer
     from fsar_ledger.sources.adapter import adapter_of, looked, named_robots, opened
     from fsar_ledger.sources.importing import import_files
 
@@ -271,7 +269,7 @@ def import_records(
             mapping_sha256=mapping_sha256,
             keeps_bodies=bodies,
             origin=origin_of(origin),
-            signer=None if key is None else read_signer(Path(key)),
+            signer=signer_of(key),
             progress=progress,
         )
     ledger = Ledger(out)
@@ -352,12 +350,11 @@ def shards(
     """
     from fsar_ledger.ledger.opening import open_checked, present
     from fsar_ledger.ledger.store.append import Writer
-    from fsar_ledger.ledger.store.keys import read_signer
     from fsar_ledger.ledger.store.shards import newest, record_of_head
     from fsar_ledger.metrics.verified import models_of
     from fsar_ledger.sources.recorder import kept_origin
 
-    path, signer, kept = Path(log), None if key is None else read_signer(Path(key)), kept_origin(Path(log))
+    path, signer, kept = Path(log), signer_of(key), kept_origin(Path(log))
     heads = [] if kept is None else _heads(open_checked(path))
     folders = [Path(shard) for shard in ledgers or ()] or [shard.place(path) for shard in newest(heads)]
     if not folders:
