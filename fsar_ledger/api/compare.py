@@ -11,7 +11,7 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import counted
 from fsar_ledger.metrics.comparison_sides import LeftOut, Paired, Side, SideRow, chosen, paired, sides
 
-from .answers import Answer, Screen
+from .answers import Answer, Screen, head_json
 from .names import by_scenario, pools_seeds
 from .verbs import ROWS, ByOption, FirstOption, OtherArgument, PoolOption, SecondOption, verb
 
@@ -46,7 +46,7 @@ class Comparison(Answer, Paired, frozen=True, kw_only=True):
         first, second = ({"name": side.name, **structs.asdict(side)} for side in self.sides)
         further = [
             {
-                "head": provenance.head and {"size": provenance.head.size, "root": provenance.head.root},
+                "head": provenance.head and head_json(provenance.head),
                 "rows_verified": provenance.rows_verified,
                 **provenance.answer(),
             }

@@ -79,8 +79,6 @@ def prove(
             `out` or the key is missing, the key did not sign the newest checkpoint, or there is no cbor2.
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`, and where hashes do not agree.
     """
-    import os
-
     from fsar_ledger.ledger.opening import open_for_answers
     from fsar_ledger.ledger.store import cose, proof
     from fsar_ledger.ledger.store.paths import require_outside

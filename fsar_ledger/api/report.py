@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 
 from fsar_ledger.base import printable
-from fsar_ledger.base.errors import option
+from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.base.printable import SafeText, counted
 
 from .answers import Answer, Lines, Screen
@@ -76,8 +76,6 @@ def report(
         LedgerCorrupted: The comparison found something.
         WriteFailed: The PDF cannot be written.
     """
-    from fsar_ledger.base.errors import UsageError, option
-    from fsar_ledger.base.printable import value
     from fsar_ledger.base.progress import unseen
     from fsar_ledger.report.build import write_report
 
@@ -87,7 +85,7 @@ def report(
     options: dict[str, object] = {"with": beside, "workflows": workflows, "sensitivity": sensitivity}
     of_the_paper = [name for name, argument in options.items() if argument]
     if kind not in (None, "paper", "audit"):
-        raise UsageError(f"{option('kind', value(kind))}: expected paper or audit")
+        raise UsageError(f"{option('kind', printable.value(kind))}: expected paper or audit")
     if kind == "audit" and of_the_paper:
         raise UsageError(
             f"{option(of_the_paper[0])}: the audit report is of one ledger; leave it out, or {option('kind')}"

@@ -11,7 +11,7 @@ from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.base.printable import SafeText, counted
 from fsar_ledger.base.progress import Progress
 
-from .answers import Answer, Screen
+from .answers import Answer, Screen, head_json
 from .diff import Diff, diff_text
 from .names import Names, Place, Run, names_of
 from .verbs import WIDE, AnswersOption, ArchitectureOption, Option, Shows, declare, switch, verb
@@ -88,7 +88,7 @@ class WhatIf(Answer, msgspec.Struct, frozen=True):
             "story": None if self.story is None else self.story.document(screen),
             "forks": self.forks,
             "effects": self.effects,
-            "kept": None if self.kept is None else {"size": self.kept.size, "root": self.kept.root},
+            "kept": self.kept and head_json(self.kept),
         }
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
