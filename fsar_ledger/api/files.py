@@ -74,17 +74,13 @@ def write_table(out: Path, table: pa.Table, *, raw: bool = False) -> int:
 
 def write_csv(out: Path, rows: Table) -> None:
     """Write the rows as `--csv` shows them. Raises: WriteFailed if the file cannot be written."""
-    write_text(out, "".join([csv_header(rows.columns), *map(csv_lines, rows.batches())]))
+    write_bytes(out, "".join([csv_header(rows.columns), *map(csv_lines, rows.batches())]).encode())
 
 
-def write_text(out: Path, text: str) -> None:
-    """Write the text in UTF-8.
-
-    Raises:
-        WriteFailed: The file cannot be written.
-    """
+def write_bytes(out: Path, content: bytes) -> None:
+    """Write the content. Raises: WriteFailed if the file cannot be written."""
     with whole_file(out) as temporary:
-        temporary.write_text(text, encoding="utf-8", newline="\n")
+        temporary.write_bytes(content)
 
 
 def require_place(out: Path) -> None:

@@ -273,7 +273,7 @@ def _ask_witnesses(
     from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.witness.answers import listed
 
-    from .files import write_text
+    from .files import write_bytes
 
     if out is not None:
         require_outside(Path(out), f"--out {out}")
@@ -281,7 +281,7 @@ def _ask_witnesses(
     say(*(f"{name}: {reason}" for name, reason in cosigned.silent.items()))
     if out is None:
         return Plain(str(cosigned.note))
-    write_text(Path(out), str(cosigned.note))
+    write_bytes(Path(out), str(cosigned.note).encode())
     checkpoint = cosigned.note.checkpoint
     return Lines(
         f"{out}: {checkpoint.size:,} events, cosigned by {listed(cosigned.times)}", f"root {checkpoint.root.hex()}"

@@ -83,7 +83,7 @@ def prove(
     from fsar_ledger.ledger.store import cose, proof
     from fsar_ledger.ledger.store.paths import require_outside
 
-    from .files import whole_file
+    from .files import write_bytes
 
     signer = _signer(format, out, key)
     if out is not None:
@@ -102,8 +102,7 @@ def prove(
     if signer is not None:
         data = cose.signed_statement(str(ledger.path), event_proof, signer.under(event_proof.note.checkpoint.origin))
     if out is not None:
-        with whole_file(Path(out)) as temporary:
-            temporary.write_bytes(data)
+        write_bytes(Path(out), data)
     return event_proof
 
 

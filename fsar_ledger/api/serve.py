@@ -99,7 +99,7 @@ class ServedFederation(Answer):
         """Have the newest checkpoint cosigned at intervals, as `witness ask` does, until the service has ended."""
         from fsar_ledger.ledger.store.paths import beside
 
-        from .files import write_text
+        from .files import write_bytes
         from .key import witness_ask
         from .ledger import open_ledger
 
@@ -107,7 +107,7 @@ class ServedFederation(Answer):
         while not ended.wait(self._given["witness_every"]):
             try:
                 cosigned = witness_ask(open_ledger(self._out), self._given["policy"])
-                write_text(file, f"{cosigned.note}")
+                write_bytes(file, str(cosigned.note).encode())
             except FsarLedgerError as error:
                 self._given["say"](f"witnesses: {error}")
 

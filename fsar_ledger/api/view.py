@@ -103,6 +103,7 @@ def view(
     from fsar_ledger.runtime.forks import parts_at
     from fsar_ledger.view import page
 
+    from .files import write_bytes
     from .lookup import ledgers_of
 
     file = Path(out)
@@ -121,7 +122,7 @@ def view(
             )
         first = parts_at(upper, lower)
     content = page(*(picture for picture, _ in pages))
-    _write(file, content)
+    write_bytes(file, content)
     runs = tuple(picture.drawn.run.run_id for picture, _ in pages)
     provenances = [provenance for _, provenance in pages]
     if beside is None:
@@ -140,11 +141,13 @@ def trace(ledger: "Ledger", out: Place, run: Run | None = None) -> Picture:
     """
     from fsar_ledger.view import trace as trace_of
 
+    from .files import write_bytes
+
     file = Path(out)
     require_picture(file, TRACE, "out")
     options, provenance = _page_options(ledger, run)
     content = trace_of(options.drawn)
-    _write(file, content)
+    write_bytes(file, content)
     return Picture(file, len(content), (options.drawn.run.run_id,), None, provenance)
 
 
@@ -163,13 +166,6 @@ def require_picture(out: Path, suffix: str, name: str) -> None:
     if out.is_dir():
         raise UsageError(f"{option(name, out)}: found a folder, expected the name of a file; choose another name")
     require_outside(out, option(name, out))
-
-
-def _write(out: Path, content: bytes) -> None:
-    from .files import whole_file
-
-    with whole_file(out) as temporary:
-        temporary.write_bytes(content)
 
 
 def _page_options(ledger: "Ledger", requested: Run | None) -> "tuple[PageOptions, Provenance]":
