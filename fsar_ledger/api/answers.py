@@ -1,7 +1,9 @@
 """The interface of all answers: a JSON document, text, an exit code, and the ledger heads they hold for."""
 
+import signal
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -205,6 +207,16 @@ class Plain(Answer):
     def text(self, _: Screen) -> Iterator[SafeText]:
         """Yield the text."""
         yield SafeText(self._text)
+
+
+@contextmanager
+def interrupted_by_sigterm() -> Iterator[None]:
+    """Let SIGTERM end what runs meanwhile as Ctrl-C does."""
+    previous = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)
 
 
 def head_json(head: "Head") -> dict[str, object]:

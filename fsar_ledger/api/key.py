@@ -2,7 +2,6 @@
 
 import os
 import re
-import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from os import PathLike
@@ -13,7 +12,7 @@ from fsar_ledger.base import printable
 from fsar_ledger.base.errors import NotCosigned, UsageError, option
 from fsar_ledger.base.printable import SafeText
 
-from .answers import Answer, Lines, Plain, Screen
+from .answers import Answer, Lines, Plain, Screen, interrupted_by_sigterm
 from .names import Place
 from .verbs import Gives, Option, argument, declare, verb
 
@@ -218,21 +217,16 @@ class ServedWitness(Answer):
             with suppress(OSError):  # stderr may no longer be read
                 self._given["say"](line)
 
-        def end(*_: object) -> None:
-            raise KeyboardInterrupt
-
         logs = [read_log_key(key) for key in self._logs]
         with open_state(self._state) as state:
             service = Service(state, logs, self._given["clock"], tell)
-            with WitnessServer(self._host, self._port, service, self._given["ticks"]) as server:
-                previous = signal.signal(signal.SIGTERM, end)
+            server = WitnessServer(self._host, self._port, service, self._given["ticks"])
+            with server, interrupted_by_sigterm():
                 try:
                     self._given["show"](printable.lines(str(state.cosigner.key), server.url))
                     server.serve_forever(poll_interval=0.1)
                 except KeyboardInterrupt:
                     tell("ended")
-                finally:
-                    signal.signal(signal.SIGTERM, previous)
         yield from ()
 
 

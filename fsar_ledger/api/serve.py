@@ -1,9 +1,8 @@
 """The verbs `serve`, `principal new` and `demo`: a live federation behind HTTP."""
 
-import signal
 import socket
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from ssl import PROTOCOL_TLS_SERVER, SSLContext, SSLError
@@ -15,7 +14,7 @@ from fsar_ledger.base import printable
 from fsar_ledger.base.errors import FsarLedgerError, UsageError, option
 from fsar_ledger.base.printable import SafeText
 
-from .answers import Answer, Plain, Screen
+from .answers import Answer, Plain, Screen, interrupted_by_sigterm
 from .federate import CONTINUES, CUT, FLEET, ISOLATED, OF, ORIGIN_NAME, ROBOTS, SETTINGS, federate
 from .names import Names, Place, names_of
 from .verbs import Gives, KeyOption, Option, argument, declare, switch, verb
@@ -31,16 +30,6 @@ def require_service() -> None:
         raise UsageError(
             f'serve: found no library {missing[0]}, expected it; install it with `pip install "fsar-ledger[service]"`'
         )
-
-
-@contextmanager
-def _interrupted_by_sigterm() -> Iterator[None]:
-    """Let SIGTERM end what runs meanwhile as Ctrl-C does."""
-    previous = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, previous)
 
 
 def _require_certificate(certificate: Path | None, key: Path | None) -> None:
@@ -79,7 +68,7 @@ class ServedFederation(Answer):
 
         service = Service(self._out, self._run, opened, Principals(self._principals), self._rate, self._viewed)
         certificate, key = self._given["certificate"], self._given["certificate_key"]
-        with self._listening() as listener, _interrupted_by_sigterm():
+        with self._listening() as listener, interrupted_by_sigterm():
             host, port = listener.getsockname()[:2]
             scheme = "http" if certificate is None else "https"
             addresses = [f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"]
@@ -236,7 +225,7 @@ class DemoPlayback(Answer):
         from fsar_ledger.service.demo import HUB, HUMAN, TASKS, Demo, play
 
         demo = Demo(self._out, self._by_hand, self._step_s)
-        with _interrupted_by_sigterm(), demo, demo.client(HUB) as hub:
+        with interrupted_by_sigterm(), demo, demo.client(HUB) as hub:
             yield printable.lines(f"console: {demo.url}/console", f"token of {HUMAN}: {demo.tokens[HUMAN]}")
             for number, (name, _tasks) in enumerate(TASKS):
                 ended = play(hub, number, 3_600 if self._by_hand else 120 * self._step_s)
