@@ -19,7 +19,7 @@ from .answers import Answer, Plain, Screen
 from .key import origin_of as named_origin
 from .key import signer_of
 from .names import Names, Place, Run, names_of
-from .verbs import KeyOption, argument, declare, verb
+from .verbs import KeyOption, OriginOption, argument, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.designs.constants import Constants
@@ -32,7 +32,6 @@ CONTINUES = "every decision that was printed is on disk, and the same command co
 FLEET: Any = declare("FLEET", "A .toml file with your own fleet, or the name of a registered one.")
 ROBOTS: Any = declare("N", "How many robots the fleet has.", "one team", least=1)
 SETTINGS: Any = declare("NAME=VALUE", "Set a constant, as `simulate` does; may be repeated.", flag="--set")
-ORIGIN_NAME: Any = declare("NAME", "Publish a new ledger under this name.", "the key's name, else a general one")
 CUT: Any = declare(
     "WHEN",
     "When to end the run and continue it in a new one: daily, or at times in UTC, such as 06:00,14:00,22:00.",
@@ -272,7 +271,7 @@ def federate_lines(
     fleet: str | None = FLEET,
     robots: int | None = ROBOTS,
     settings: Names = SETTINGS,
-    origin: str | None = ORIGIN_NAME,
+    origin: OriginOption = None,
     key: KeyOption = None,
     cut: str | None = CUT,
     isolated: str | None = ISOLATED,

@@ -16,7 +16,7 @@ from fsar_ledger.base.progress import Progress
 from .answers import Answer, Screen, head_json
 from .key import origin_of, signer_of
 from .names import Names, Place, names_of
-from .verbs import AdoptOption, Gives, KeyOption, Shows, argument, declare, switch, verb
+from .verbs import AdoptOption, Gives, KeyOption, OriginOption, Shows, argument, declare, switch, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.store.read import View
@@ -126,7 +126,7 @@ def record_lines(
     ),
     fleet: Place | None = declare("FILE", "A .toml file that names the robots: [robots], NAME = ROLE."),
     epoch: str | None = declare("TIME", "When the run begins, as 2026-03-01T10:00Z.", "now"),
-    origin: str | None = declare("NAME", "Publish a new ledger under this name.", "the key's name, else a general one"),
+    origin: OriginOption = None,
     key: KeyOption = None,
     private_names: Place | None = declare(
         "FILE", "Store commitments in place of the names of people; this file outside the ledger keeps the names."
@@ -238,7 +238,7 @@ def import_records(
     run: str | None = declare("NAME", "The name of the run.", "that of the first file"),
     fleet: Place | None = declare("FILE", "A .toml file that names the robots of the fleet: [robots], NAME = ROLE."),
     bodies: bool = switch("Also keep every record as it was read."),
-    origin: str | None = declare("NAME", "Publish a new ledger under this name.", "the key's name, else a general one"),
+    origin: OriginOption = None,
     key: KeyOption = None,
     progress: Annotated[Progress | None, Shows("imported", "records")] = None,
 ) -> ImportResult:

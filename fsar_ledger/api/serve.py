@@ -15,9 +15,9 @@ from fsar_ledger.base.errors import FsarLedgerError, UsageError, option
 from fsar_ledger.base.printable import SafeText
 
 from .answers import Answer, Plain, Screen, interrupted_by_sigterm
-from .federate import CONTINUES, CUT, FLEET, ISOLATED, OF, ORIGIN_NAME, ROBOTS, SETTINGS, federate
+from .federate import CONTINUES, CUT, FLEET, ISOLATED, OF, ROBOTS, SETTINGS, federate
 from .names import Names, Place, names_of
-from .verbs import Gives, KeyOption, Option, argument, declare, switch, verb
+from .verbs import Gives, KeyOption, Option, OriginOption, argument, declare, switch, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.runtime.federation import Federation
@@ -134,7 +134,7 @@ def serve_federation(
     fleet: str | None = FLEET,
     robots: int | None = ROBOTS,
     settings: Names = SETTINGS,
-    origin: str | None = ORIGIN_NAME,
+    origin: OriginOption = None,
     key: KeyOption = None,
     cut: str | None = CUT,
     isolated: str | None = ISOLATED,

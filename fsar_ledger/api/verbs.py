@@ -303,6 +303,10 @@ KeyOption = Annotated[
         environment="FSAR_LEDGER_KEY",
     ),
 ]
+OriginOption = Annotated[
+    str | None,
+    Option("--origin", "NAME", "Publish a new ledger under this name.", "the key's name, else a general one"),
+]
 AdoptOption = Annotated[
     bool, Option("--adopt", None, "Allow signing on top of commits that this key did not sign; verify them first.")
 ]
