@@ -20,14 +20,7 @@ from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.opening import Pause, growth, open_for_answers
 from fsar_ledger.ledger.rows import codec
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, RELEASE, SCHEMA
-from fsar_ledger.ledger.store.locations import (
-    chain_of,
-    counted_rows,
-    record_of,
-    whole_groups,
-    whole_runs,
-    wholes_of,
-)
+from fsar_ledger.ledger.store.locations import chain_of, counted_rows, record_of, whole_groups, whole_runs, wholes_of
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics import relation
 from fsar_ledger.metrics.connection import Value

@@ -6,14 +6,7 @@ throughout. The structure is checked when a file or an event is read; `runtime.w
 
 import msgspec
 
-from fsar_ledger.events.envelope import (
-    OverrideLevel,
-    PolicyOutcome,
-    PolicyScope,
-    RecoveryLevel,
-    TrustScope,
-    Visibility,
-)
+from fsar_ledger.events.envelope import OverrideLevel, PolicyOutcome, PolicyScope, RecoveryLevel, TrustScope, Visibility
 from fsar_ledger.events.world import Grade
 
 

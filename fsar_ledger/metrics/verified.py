@@ -31,12 +31,7 @@ import numpy as np
 import pyarrow as pa
 
 from fsar_ledger import __version__
-from fsar_ledger.base.errors import (
-    LedgerCorrupted,
-    QueryFailed,
-    SequenceConflict,
-    UsageError,
-)
+from fsar_ledger.base.errors import LedgerCorrupted, QueryFailed, SequenceConflict, UsageError
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.opening import open_checked

@@ -50,11 +50,7 @@ from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS
 
 from .live import state_shape
-from .recipes import (
-    WorldConstantsUsed,
-    constants_used,
-    remarks_on,
-)
+from .recipes import WorldConstantsUsed, constants_used, remarks_on
 from .run_replay import Difference, ForeignDigest, error_text, replay_run
 
 

@@ -23,13 +23,7 @@ from .handlers.commands import Command, Decide
 from .handlers.isolation import founded_alone
 from .live import ARCHITECTURE, SOURCE, commands_of, live_started, state_shape
 from .ports import Environment, LiveEnvironment
-from .recipes import (
-    CannotReplay,
-    Recipe,
-    recorded_constants,
-    recorded_recipe,
-    started_of,
-)
+from .recipes import CannotReplay, Recipe, recorded_constants, recorded_recipe, started_of
 from .recorded import FACTS, RecordedEnvironment, RecordedKernel, recorded_environment
 from .simulation import fleet_founding, founding_of, handler_table_of, plan_mismatch, run_id
 from .snapshot import state_sha256

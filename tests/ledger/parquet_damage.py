@@ -6,21 +6,7 @@ from typing import cast
 
 from tests.ledger.layout_changes import CHANGES
 from tests.ledger.parts import MAGIC, Parts
-from tests.ledger.thrift import (
-    BINARY,
-    FALSE,
-    I16,
-    I32,
-    I64,
-    STRUCT,
-    TRUE,
-    Field,
-    Listed,
-    Struct,
-    Value,
-    field,
-    put,
-)
+from tests.ledger.thrift import BINARY, FALSE, I16, I32, I64, STRUCT, TRUE, Field, Listed, Struct, Value, field, put
 
 SEQ, TIME, TYPE = 1, 2, 4
 """Columns of every segment, by their places."""

@@ -6,13 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.base.errors import (
-    FormatVersionMismatch,
-    LedgerCorrupted,
-    NotALedger,
-    UsageError,
-    WriteFailed,
-)
+from fsar_ledger.base.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger, UsageError, WriteFailed
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import canonical

@@ -18,10 +18,7 @@ from fsar_ledger.runtime.architectures.fsar.execution import (
     start,
     take_turn,
 )
-from fsar_ledger.runtime.architectures.fsar.request import (
-    EvaluateRequest,
-    evaluate_request,
-)
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
 from fsar_ledger.runtime.handlers.authority import close_execution
 from fsar_ledger.runtime.handlers.commands import CloseExecution, DecideRoutine, StartAction, TakeTurn
 from tests import past

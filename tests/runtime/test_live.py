@@ -23,13 +23,7 @@ from fsar_ledger.events.recovery import (
     RecoveryAttempted,
     RecoveryEscalated,
 )
-from fsar_ledger.events.request import (
-    RequestAccepted,
-    RequestAdmitted,
-    RequestDenied,
-    RequestIssued,
-    RequestUnanswered,
-)
+from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, RequestDenied, RequestIssued, RequestUnanswered
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.ledger.rows.runs import LedgerRun

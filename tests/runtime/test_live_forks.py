@@ -17,12 +17,7 @@ from fsar_ledger.events.supervision import SupervisorResponded
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fleet import NEVER_US
-from fsar_ledger.runtime.architectures.fsar.reports import (
-    JudgeRequest,
-    ReportAttempt,
-    ReportStart,
-    ReportWindow,
-)
+from fsar_ledger.runtime.architectures.fsar.reports import JudgeRequest, ReportAttempt, ReportStart, ReportWindow
 from fsar_ledger.runtime.change_texts import parsed
 from fsar_ledger.runtime.forks import Fork
 from fsar_ledger.runtime.handlers.recovery import ReportFailure

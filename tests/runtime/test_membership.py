@@ -8,13 +8,7 @@ from fsar_ledger.designs.constants import Constants, Membership
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
 from fsar_ledger.events.envelope import DEPARTED, FLEET_SUPERVISOR, Robot, local_supervisor
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionWithdrawn
-from fsar_ledger.events.fleet import (
-    HeartbeatReceived,
-    RobotCleared,
-    RobotDeparted,
-    RobotReturned,
-    RobotSuspected,
-)
+from fsar_ledger.events.fleet import HeartbeatReceived, RobotCleared, RobotDeparted, RobotReturned, RobotSuspected
 from fsar_ledger.events.recovery import AssistanceFailed, ReassignmentDecided, RecoveryEscalated
 from fsar_ledger.events.registry import AvailabilityChanged, RegistryQueried
 from fsar_ledger.events.request import RequestClosed
@@ -25,12 +19,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import surface
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.authority import Revoke
-from fsar_ledger.runtime.architectures.fsar.reports import (
-    JudgeAssistance,
-    JudgeRequest,
-    ReportPresence,
-    ReportStart,
-)
+from fsar_ledger.runtime.architectures.fsar.reports import JudgeAssistance, JudgeRequest, ReportPresence, ReportStart
 from fsar_ledger.runtime.handlers.fleet import JoinFleet, LeaveFleet
 from fsar_ledger.runtime.handlers.public import PublicCommand
 from fsar_ledger.runtime.handlers.recovery import ReportFailure

@@ -16,15 +16,7 @@ from fsar_ledger.runtime.own import with_values
 from fsar_ledger.studies import systems as study
 from fsar_ledger.studies.evaluations import Answer, Question
 from fsar_ledger.studies.factors import Setting
-from fsar_ledger.studies.systems import (
-    WIDTH,
-    SystemQuestion,
-    answer,
-    held_ranks,
-    moved_constants,
-    systems,
-    trials,
-)
+from fsar_ledger.studies.systems import WIDTH, SystemQuestion, answer, held_ranks, moved_constants, systems, trials
 from tests.quick import few
 
 

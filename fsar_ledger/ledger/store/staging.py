@@ -24,13 +24,7 @@ from fsar_ledger.events.fleet import RunContinued, RunStarted
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, sha256_hex
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of
-from fsar_ledger.ledger.rows.bounds import (
-    MAX_ROWS,
-    MAX_SEGMENT_BYTES,
-    MAX_TEXT_BYTES,
-    has_more_text_than,
-    text_bytes,
-)
+from fsar_ledger.ledger.rows.bounds import MAX_ROWS, MAX_SEGMENT_BYTES, MAX_TEXT_BYTES, has_more_text_than, text_bytes
 from fsar_ledger.ledger.rows.check import disordered, unprintable
 from fsar_ledger.ledger.rows.codec import encode_coded, encode_hashed, encode_lines
 from fsar_ledger.ledger.rows.compiled import MARK_OF, OPENING, Plain, marks_of, plain_lines, plain_rows, plain_table

@@ -35,15 +35,7 @@ from .authority import released
 from .candidates import contradiction, version_of
 from .commands import Handlers, acting
 from .execution import holds_robot
-from .public import (
-    PublicCommand,
-    absent_robot,
-    carried_out,
-    made_from,
-    not_governed,
-    not_in_charge,
-    unknown_supervisor,
-)
+from .public import PublicCommand, absent_robot, carried_out, made_from, not_governed, not_in_charge, unknown_supervisor
 from .recovery import escalated
 from .task import has_not_begun
 

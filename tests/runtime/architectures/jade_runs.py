@@ -12,14 +12,8 @@ from fsar_ledger.events.envelope import Robot, Subject
 from fsar_ledger.events.knowledge import BidReceived
 from fsar_ledger.projections.fold import State, fold
 from fsar_ledger.runtime.architectures.jade import JADE
-from fsar_ledger.runtime.architectures.jade.contract_net import (
-    EvaluateProposals,
-    ReceiveAcceptance,
-)
-from fsar_ledger.runtime.handlers.commands import (
-    Command,
-    Scheduled,
-)
+from fsar_ledger.runtime.architectures.jade.contract_net import EvaluateProposals, ReceiveAcceptance
+from fsar_ledger.runtime.handlers.commands import Command, Scheduled
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Fact
 from fsar_ledger.runtime.simulation import RunSpec, founding_of, simulate_run

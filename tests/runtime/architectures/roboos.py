@@ -5,27 +5,14 @@ from typing import Any
 from fsar_ledger.designs.constants import Constants, Outages
 from fsar_ledger.designs.dials import Roboos
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import (
-    COORDINATOR,
-    Principal,
-    Robot,
-    Subject,
-)
+from fsar_ledger.events.envelope import COORDINATOR, Principal, Robot, Subject
 from fsar_ledger.events.knowledge import StoreEntryWritten
 from fsar_ledger.events.task import TaskPlanned
-from fsar_ledger.events.world import (
-    ActuatorDegraded,
-    ObstructionAppeared,
-)
+from fsar_ledger.events.world import ActuatorDegraded, ObstructionAppeared
 from fsar_ledger.projections.fold import State, fold
 from fsar_ledger.runtime.architectures.roboos import ROBOOS, StartChecklist
 from fsar_ledger.runtime.architectures.roboos.master import SendSubtask, TakeSubtask
-from fsar_ledger.runtime.handlers.commands import (
-    DetectObstruction,
-    FinishAttempt,
-    StartAction,
-    TakeTurn,
-)
+from fsar_ledger.runtime.handlers.commands import DetectObstruction, FinishAttempt, StartAction, TakeTurn
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Fact
 from fsar_ledger.runtime.simulation import RunSpec, run_started

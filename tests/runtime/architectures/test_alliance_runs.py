@@ -9,16 +9,11 @@ from fsar_ledger.designs.constants import Constants, Outages
 from fsar_ledger.designs.dials import Alliance
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
 from fsar_ledger.events.envelope import Parties, Principals
-from fsar_ledger.events.execution import (
-    ExecutionFinished,
-    ExecutionStarted,
-)
+from fsar_ledger.events.execution import ExecutionFinished, ExecutionStarted
 from fsar_ledger.events.recovery import FailureResolved, RecoveryEscalated
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
-from fsar_ledger.events.world import (
-    TaskArrived,
-)
+from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.projections.motivation import action_of, execution_name

@@ -6,11 +6,7 @@ import pytest
 from fsar_ledger.designs.dials import Jade
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
 from fsar_ledger.events.envelope import Robot, Subject, flat
-from fsar_ledger.events.execution import (
-    ExecutionFinished,
-    ExecutionQueued,
-    ExecutionStarted,
-)
+from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionStarted
 from fsar_ledger.events.knowledge import BidReceived
 from fsar_ledger.events.registry import AvailabilityChanged, RegistryCached, RegistryQueried
 from fsar_ledger.events.request import (
@@ -25,13 +21,7 @@ from fsar_ledger.events.request import (
     RequestUnanswered,
 )
 from fsar_ledger.events.task import TaskCompleted
-from fsar_ledger.events.world import (
-    ContextChanged,
-    LinkCameUp,
-    LinkWentDown,
-    RobotCameBack,
-    RobotWentOff,
-)
+from fsar_ledger.events.world import ContextChanged, LinkCameUp, LinkWentDown, RobotCameBack, RobotWentOff
 from fsar_ledger.projections.registry import NO_ANSWER
 from fsar_ledger.runtime.architectures.jade.contract_net import (
     Bounce,
@@ -42,9 +32,7 @@ from fsar_ledger.runtime.architectures.jade.contract_net import (
     ReceiveReply,
 )
 from fsar_ledger.runtime.architectures.jade.directory import RemoveNode
-from fsar_ledger.runtime.handlers.commands import (
-    BeginStep,
-)
+from fsar_ledger.runtime.handlers.commands import BeginStep
 from fsar_ledger.runtime.ports import Fact
 from fsar_ledger.runtime.simulation import SCENARIOS
 from tests import past

@@ -5,33 +5,16 @@ import pytest
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, Subject
-from fsar_ledger.events.execution import (
-    ExecutionFailed,
-    ExecutionStarted,
-    ExecutionWithdrawn,
-)
+from fsar_ledger.events.execution import ExecutionFailed, ExecutionStarted, ExecutionWithdrawn
 from fsar_ledger.events.recovery import FailureResolved, RecoveryAttempted, RecoveryEscalated
-from fsar_ledger.events.request import (
-    ContractVoided,
-    RequestIssued,
-)
+from fsar_ledger.events.request import ContractVoided, RequestIssued
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import TaskCompleted
-from fsar_ledger.events.world import (
-    ObstructionAppeared,
-)
+from fsar_ledger.events.world import ObstructionAppeared
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.architectures.jade import DecideOwnStep, GiveUp, ReceiveFailure
-from fsar_ledger.runtime.architectures.jade.contract_net import (
-    CallForProposals,
-    EvaluateCall,
-)
-from fsar_ledger.runtime.handlers.commands import (
-    BeginStep,
-    DetectObstruction,
-    StartAction,
-    TakeTurn,
-)
+from fsar_ledger.runtime.architectures.jade.contract_net import CallForProposals, EvaluateCall
+from fsar_ledger.runtime.handlers.commands import BeginStep, DetectObstruction, StartAction, TakeTurn
 from fsar_ledger.runtime.simulation import SCENARIOS
 from tests.runtime.architectures.jade_runs import (
     ABOUT,

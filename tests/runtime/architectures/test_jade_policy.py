@@ -6,11 +6,7 @@ import pytest
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import flat, local_supervisor
-from fsar_ledger.events.execution import (
-    ExecutionFinished,
-    ExecutionQueued,
-    ExecutionStarted,
-)
+from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionStarted
 from fsar_ledger.events.request import (
     AwardMade,
     BidSubmitted,
@@ -19,20 +15,10 @@ from fsar_ledger.events.request import (
     RequestIssued,
     SegmentTransferred,
 )
-from fsar_ledger.events.world import (
-    OutsiderRequestInjected,
-    SupervisorLeft,
-)
+from fsar_ledger.events.world import OutsiderRequestInjected, SupervisorLeft
 from fsar_ledger.runtime.architectures.jade import DecideOwnStep
-from fsar_ledger.runtime.architectures.jade.contract_net import (
-    EvaluateCall,
-)
-from fsar_ledger.runtime.handlers.commands import (
-    BeginStep,
-    DecideRoutine,
-    StartAction,
-    TakeTurn,
-)
+from fsar_ledger.runtime.architectures.jade.contract_net import EvaluateCall
+from fsar_ledger.runtime.handlers.commands import BeginStep, DecideRoutine, StartAction, TakeTurn
 from tests import past
 from tests.runtime.architectures.jade_runs import (
     ACTION,

@@ -9,11 +9,7 @@ from fsar_ledger.designs.constants import Constants, Outages
 from fsar_ledger.designs.dials import Jade
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.task import StepBegan, TaskAbandoned, TaskCompleted
-from fsar_ledger.events.world import (
-    ContextChanged,
-    OutsiderRequestInjected,
-    TaskArrived,
-)
+from fsar_ledger.events.world import ContextChanged, OutsiderRequestInjected, TaskArrived
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run

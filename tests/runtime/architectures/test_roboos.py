@@ -10,27 +10,12 @@ from fsar_ledger.designs.constants import Constants
 from fsar_ledger.designs.dials import Roboos
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
-from fsar_ledger.events.envelope import (
-    COORDINATOR,
-    RequestSubject,
-    Scenario,
-    Subject,
-    flat,
-)
-from fsar_ledger.events.execution import (
-    ExecutionFinished,
-    ExecutionQueued,
-    ExecutionStarted,
-)
+from fsar_ledger.events.envelope import COORDINATOR, RequestSubject, Scenario, Subject, flat
+from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionStarted
 from fsar_ledger.events.knowledge import StoreEntryWritten
 from fsar_ledger.events.request import CommandIssued, RequestDenied
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted, TaskPlanned
-from fsar_ledger.events.world import (
-    OutsiderRequestInjected,
-    RobotCameBack,
-    RobotWentOff,
-    TaskArrived,
-)
+from fsar_ledger.events.world import OutsiderRequestInjected, RobotCameBack, RobotWentOff, TaskArrived
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.architectures.roboos import ROBOOS
 from fsar_ledger.runtime.architectures.roboos.master import PlanTask, SendSubtask

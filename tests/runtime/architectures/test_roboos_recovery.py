@@ -2,11 +2,7 @@
 
 import msgspec
 
-from fsar_ledger.events.envelope import (
-    COORDINATOR,
-    FLEET_SUPERVISOR,
-    Subject,
-)
+from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, Subject
 from fsar_ledger.events.execution import (
     ExecutionFinished,
     ExecutionPaused,
@@ -31,13 +27,7 @@ from fsar_ledger.events.world import (
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.architectures.roboos import ROBOOS, AskAnother, GoOnWithoutHelp, ReachHelper, checklist
 from fsar_ledger.runtime.architectures.roboos.master import PlanTask, TakeSubtask, is_shown_idle
-from fsar_ledger.runtime.handlers.commands import (
-    DecideRoutine,
-    EndAttempt,
-    Respond,
-    StartAction,
-    TakeTurn,
-)
+from fsar_ledger.runtime.handlers.commands import DecideRoutine, EndAttempt, Respond, StartAction, TakeTurn
 from tests import past
 from tests.runtime.architectures.roboos import (
     ACTION,

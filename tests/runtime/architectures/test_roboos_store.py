@@ -1,22 +1,11 @@
 """RoboOS: one test for each fact of its source that the shared store rests on."""
 
-from fsar_ledger.events.envelope import (
-    COORDINATOR,
-    Subject,
-)
-from fsar_ledger.events.execution import (
-    ExecutionFinished,
-)
+from fsar_ledger.events.envelope import COORDINATOR, Subject
+from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.knowledge import StoreEntryWritten
 from fsar_ledger.events.request import CommandIssued
 from fsar_ledger.events.task import StepCompleted, TaskAbandoned, TaskCompleted
-from fsar_ledger.events.world import (
-    LinkCameUp,
-    LinkWentDown,
-    RobotCameBack,
-    RobotWentOff,
-    SnapshotPhaseSet,
-)
+from fsar_ledger.events.world import LinkCameUp, LinkWentDown, RobotCameBack, RobotWentOff, SnapshotPhaseSet
 from fsar_ledger.runtime.architectures.roboos.master import (
     Heartbeat,
     SendSubtask,

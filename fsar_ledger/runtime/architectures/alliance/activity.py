@@ -18,12 +18,7 @@ from fsar_ledger.events.request import RequestAccepted
 from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.motivation import (
-    action_of,
-    execution_name,
-    motivation_of,
-    task_of,
-)
+from fsar_ledger.projections.motivation import action_of, execution_name, motivation_of, task_of
 from fsar_ledger.projections.request import Request
 from fsar_ledger.runtime.handlers.attribution import is_idle
 from fsar_ledger.runtime.handlers.authority import released

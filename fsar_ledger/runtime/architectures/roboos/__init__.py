@@ -31,13 +31,7 @@ Source: slaver/robot/error_handler.py, error_definitions.py, core.py; slaver/age
 from typing import Literal
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import (
-    FLEET_SUPERVISOR,
-    FailureCause,
-    Principals,
-    Robot,
-    with_columns,
-)
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, FailureCause, Principals, Robot, with_columns
 from fsar_ledger.events.execution import (
     ExecutionFailed,
     ExecutionFinished,

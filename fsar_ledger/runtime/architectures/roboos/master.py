@@ -46,19 +46,11 @@ from fsar_ledger.events.envelope import (
     Subject,
     robot_named,
 )
-from fsar_ledger.events.execution import (
-    ExecutionFinished,
-    ExecutionWithdrawn,
-)
+from fsar_ledger.events.execution import ExecutionFinished, ExecutionWithdrawn
 from fsar_ledger.events.knowledge import StoreEntryWritten
 from fsar_ledger.events.request import CommandIssued, RequestDenied
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskPlanned
-from fsar_ledger.events.world import (
-    OutsiderRequestInjected,
-    RobotCameBack,
-    SnapshotPhaseSet,
-    TaskArrived,
-)
+from fsar_ledger.events.world import OutsiderRequestInjected, RobotCameBack, SnapshotPhaseSet, TaskArrived
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.task import Task
