@@ -22,9 +22,7 @@ from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 from tests import past
 from tests.foreign.histories import foreign_run
 from tests.runtime.commanded import commanded
-from tests.runtime.histories import happen
-
-A, B = Robot("robot/A1"), Robot("robot/B1")
+from tests.runtime.histories import A, B, happen
 
 RECORDS_ONLY = {
     "ExperimentPlanned",  # of no run

@@ -13,14 +13,16 @@ from fsar_ledger.runtime.simulation import RunSpec, kernel, run_started
 from fsar_ledger.runtime.world import founding
 from tests import past
 
-STEPS = ("A navigate.indoor", "A door.open.secure B")
-ARRIVED = past.arrived("A1-1", Robot("robot/A1"), STEPS)
+A, B, C, D = (Robot(f"robot/{name}1") for name in "ABCD")
+DOOR = "door.open.secure"
+STEPS = ("A navigate.indoor", f"A {DOOR} B")
+ARRIVED = past.arrived("A1-1", A, STEPS)
 SECOND: tuple[Event, ...] = (  # another task of the same robot that needs the same door
-    past.arrived("A1-2", Robot("robot/A1"), STEPS),
-    past.began(Subject("A1-2", "A1-2/2.1"), Robot("robot/A1"), 2, "door.open.secure", "B"),
+    past.arrived("A1-2", A, STEPS),
+    past.began(Subject("A1-2", "A1-2/2.1"), A, 2, DOOR, "B"),
 )
-OWN_STEP = past.began(Subject("A1-1", "A1-1/1.1"), Robot("robot/A1"), 1, "navigate.indoor")
-DELEGATED_STEP = past.began(Subject("A1-1", "A1-1/2.1"), Robot("robot/A1"), 2, "door.open.secure", "B")
+OWN_STEP = past.began(Subject("A1-1", "A1-1/1.1"), A, 1, "navigate.indoor")
+DELEGATED_STEP = past.began(Subject("A1-1", "A1-1/2.1"), A, 2, DOOR, "B")
 
 
 def started(

@@ -32,11 +32,9 @@ from fsar_ledger.runtime.handlers.registry import (
     finish_roll_out,
 )
 from tests import past
-from tests.runtime.histories import given, happen, types
+from tests.runtime.histories import A, B, given, happen, types
 from tests.runtime.live import decided, refusal
 from tests.sure import known, only
-
-A, B = Robot("robot/A1"), Robot("robot/B1")
 
 DOOR = (B, Robot("door.open.secure"))
 GRIP = past.installed(

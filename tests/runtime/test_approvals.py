@@ -17,9 +17,9 @@ from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import ReportResult
 from tests import past
-from tests.runtime.histories import given, happen, types
+from tests.runtime.histories import DOOR, A, B, given, happen, types
 from tests.runtime.live import decided, play
-from tests.runtime.test_authority import ASK, DOOR, H_B, A, B, scheduled
+from tests.runtime.test_authority import ASK, H_B, scheduled
 from tests.sure import only
 
 APPROVAL = past.approved(Subject("visit", "q1"), A, B)

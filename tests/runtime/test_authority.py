@@ -30,14 +30,11 @@ from fsar_ledger.runtime.handlers.commands import Command, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import RequestCapability
 from fsar_ledger.runtime.handlers.task import EndClaims
 from tests import past
-from tests.runtime.histories import given, types
+from tests.runtime.histories import DOOR, A, B, C, D, given, types
 from tests.runtime.live import decided, of, play, played
 from tests.runtime.test_requests import relayed, verdict
 from tests.sure import only
 
-A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
-
-DOOR = "door.open.secure"
 H_F, H_A, H_B = FLEET_SUPERVISOR, Supervisor("supervisor/A1"), Supervisor("supervisor/B1")
 ASK = RequestCapability(A, B, DOOR, "visit", "q1")
 NEXT = msgspec.structs.replace(ASK, action_id="q2")

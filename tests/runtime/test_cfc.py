@@ -5,7 +5,7 @@ from functools import partial
 import msgspec
 
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, Robot, Subject
+from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, Subject
 from fsar_ledger.events.knowledge import CopySynced, WorkQueued
 from fsar_ledger.events.recovery import RecoveryAttempted, RecoveryAttemptFailed
 from fsar_ledger.events.request import CommandIssued, GapDetected, RequestDenied
@@ -23,10 +23,8 @@ from fsar_ledger.runtime.handlers.commands import (
     TakeTurn,
 )
 from tests.runtime import live
-from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, happen, types, window
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, A, B, C, D, given, happen, types, window
 from tests.sure import only
-
-A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 
 decided, play = partial(live.decided, table=CFC), partial(live.play, table=CFC)
 ACTION = "A1-1/2.1"

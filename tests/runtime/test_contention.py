@@ -19,10 +19,9 @@ from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.handlers.commands import CloseRequest, Respond, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
 from tests import past
-from tests.runtime.histories import given, happen, types, window
+from tests.runtime.histories import DOOR, B, given, happen, types, window
 from tests.runtime.live import decided, of, played
 
-DOOR, B = "door.open.secure", Robot("robot/B1")
 TRUSTED = tuple(past.trusted(B, Robot(f"robot/{name}1"), "session") for name in "ACD")
 ARRIVED = tuple(
     past.arrived(

@@ -4,7 +4,7 @@ from functools import partial
 
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import Robot, Subject
+from fsar_ledger.events.envelope import Subject
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.knowledge import BidReceived, PlannerEngaged, SnapshotTaken
 from fsar_ledger.events.request import AwardMade
@@ -31,9 +31,7 @@ from fsar_ledger.runtime.handlers.commands import (
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests import past
 from tests.runtime import live
-from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, happen, types, window
-
-A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, A, B, C, D, given, happen, types, window
 
 decided, play = partial(live.decided, table=DHMA), partial(live.play, table=DHMA)
 ACTION = "A1-1/2.1"

@@ -24,11 +24,9 @@ from fsar_ledger.runtime.handlers.fleet import HANDLERS, InstallCapability, Join
 from fsar_ledger.runtime.handlers.trust import AssessTrust, SetTrust, trusts
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests import past
-from tests.runtime.histories import given, happen, types
+from tests.runtime.histories import A, B, C, D, given, happen, types
 from tests.runtime.live import play, refusal
 from tests.runtime.robot_states import execution_state
-
-A, B, C, D = (Robot(f"robot/{name}1") for name in "ABCD")
 
 
 def decided(command: Command, *events: Event) -> tuple[Event, ...]:

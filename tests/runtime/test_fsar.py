@@ -3,7 +3,7 @@
 import pytest
 
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
-from fsar_ledger.events.envelope import Robot, Subject, Supervisor
+from fsar_ledger.events.envelope import Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionStarted
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, RequestDenied, RequestIssued, RequestUnanswered
@@ -22,11 +22,9 @@ from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, eval
 from fsar_ledger.runtime.handlers.authority import close_execution
 from fsar_ledger.runtime.handlers.commands import CloseExecution, DecideRoutine, StartAction, TakeTurn
 from tests import past
-from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, happen, types, window
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, A, B, given, happen, types, window
 from tests.runtime.live import play
 from tests.sure import only
-
-A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 
 REQUESTED = (
     ARRIVED,

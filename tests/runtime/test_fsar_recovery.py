@@ -15,9 +15,9 @@ from fsar_ledger.runtime.architectures.fsar.recovery import AskPeers, ConsiderRe
 from fsar_ledger.runtime.handlers.commands import DetectObstruction, EndAttempt, StartAction
 from fsar_ledger.runtime.handlers.execution import _on_running, start_after_approach
 from tests import past
-from tests.runtime.histories import ARRIVED, OWN_STEP, given, types, window
+from tests.runtime.histories import ARRIVED, OWN_STEP, A, B, C, D, given, types, window
 from tests.runtime.live import decided, play
-from tests.runtime.test_fsar import A, B, C, D, executing
+from tests.runtime.test_fsar import executing
 
 
 def failed(own: bool = False):  # type: ignore[no-untyped-def]

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import Robot, Subject
+from fsar_ledger.events.envelope import Subject
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
@@ -14,13 +14,10 @@ from fsar_ledger.runtime.handlers.commands import Command, TakeTurn
 from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
 from fsar_ledger.runtime.handlers.task import SubmitTask
 from tests import past
-from tests.runtime.histories import given, types
+from tests.runtime.histories import DOOR, A, B, given, types
 from tests.runtime.live import decided, play
 from tests.sure import only
 
-A, B = Robot("robot/A1"), Robot("robot/B1")
-
-DOOR = "door.open.secure"
 ASK = RequestCapability(A, B, DOOR, "visit", "q1")
 TASK = SubmitTask(A, "T9", ("A carry.package", "A door.open.secure B"), 60_000_000)
 

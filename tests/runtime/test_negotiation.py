@@ -18,9 +18,9 @@ from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.handlers.commands import Command, TakeTurn
 from fsar_ledger.runtime.handlers.request import AnswerOffer, ReportResult
 from tests import past
-from tests.runtime.histories import ARRIVED, happen, types
+from tests.runtime.histories import ARRIVED, DOOR, A, B, D, happen, types
 from tests.runtime.live import decided, of, played
-from tests.runtime.test_requests import ASK, DOOR, A, B, D, asked, offered, served
+from tests.runtime.test_requests import ASK, asked, offered, served
 from tests.sure import only
 
 

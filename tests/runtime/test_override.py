@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import OverrideLevel, Robot, Subject
+from fsar_ledger.events.envelope import OverrideLevel, Subject
 from fsar_ledger.events.execution import ExecutionPaused, ExecutionPreempted, ExecutionQueued, ExecutionResumed
 from fsar_ledger.events.request import RequestAdmitted
 from fsar_ledger.events.world import ObstructionAppeared
@@ -19,12 +19,9 @@ from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.handlers.commands import DetectObstruction, ResumeAction, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import RequestCapability
 from tests import past
-from tests.runtime.histories import given, types
+from tests.runtime.histories import DOOR, A, B, C, given, types
 from tests.runtime.live import play
 
-A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
-
-DOOR = "door.open.secure"
 OPEN = msgspec.structs.replace(past.advertised(B, DOOR), override_allowed="emergency-only")
 ASK = RequestCapability(A, B, DOOR, "visit", "q1")
 GRANT = past.granted(C, None, "emergency-only")

@@ -39,10 +39,10 @@ from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.world.schedule import schedule
 from tests import past
 from tests.recycled import from_table
-from tests.runtime.histories import types
+from tests.runtime.histories import DOOR, A, B, C, D, types
 from tests.runtime.live import of, play, played
 from tests.runtime.pinned import PINNED
-from tests.runtime.test_override import ASK, DOOR, GRANT, OPEN, A, B, C, D, busy, urgent
+from tests.runtime.test_override import ASK, GRANT, OPEN, busy, urgent
 
 
 def entry(name: str, level: OverrideLevel) -> ExecutionQueued:

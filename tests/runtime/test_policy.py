@@ -32,12 +32,10 @@ from fsar_ledger.runtime.handlers.policy import (
 )
 from tests import past
 from tests.runtime.governed import H_F, governed
-from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, happen, types, window
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, DOOR, OWN_STEP, A, B, C, given, happen, types, window
 from tests.runtime.live import decided, play, refusal
 from tests.sure import only
 
-A, B, C = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1")
-DOOR = "door.open.secure"
 H_B = Supervisor("supervisor/B1")
 REQUESTED = (ARRIVED, DELEGATED_STEP, past.queried(Subject("A1-1", "A1-1/2.1"), past.parties(A, B), DOOR, B))
 OUTCOME = st.sampled_from(["allow", "deny", "review"])

@@ -16,9 +16,9 @@ from fsar_ledger.projections.registry import advertisement
 from fsar_ledger.runtime.handlers.candidates import FILTERS, Query, candidates, rejecting_filter
 from fsar_ledger.runtime.handlers.registry import CacheRegistry, ConsultRegistry, consult_registry
 from tests import past
-from tests.runtime.histories import given, started, types
+from tests.runtime.histories import DOOR, A, B, given, started, types
 from tests.runtime.live import decided, refusal
-from tests.runtime.test_registry import ASKING, DOOR, A, B, busy, second
+from tests.runtime.test_registry import ASKING, busy, second
 from tests.sure import known
 
 HALL = (

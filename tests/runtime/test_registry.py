@@ -10,12 +10,9 @@ from fsar_ledger.events.execution import ExecutionQueued
 from fsar_ledger.events.registry import CapabilityDeprecated, CapabilityWithdrawn
 from fsar_ledger.runtime.handlers.candidates import Query, candidates
 from tests import past
-from tests.runtime.histories import given, window
-
-A, B = Robot("robot/A1"), Robot("robot/B1")
+from tests.runtime.histories import DOOR, A, B, given, window
 
 E1 = Robot("robot/E1")
-DOOR = "door.open.secure"
 ASKING = Query(A, DOOR, "A1-1")
 
 

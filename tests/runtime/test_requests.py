@@ -18,13 +18,10 @@ from fsar_ledger.runtime.handlers.admissibility import evaluate
 from fsar_ledger.runtime.handlers.commands import Command
 from fsar_ledger.runtime.handlers.request import RequestCapability
 from tests import past
-from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, happen, types, window
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, DOOR, OWN_STEP, A, B, C, D, given, happen, types, window
 from tests.runtime.live import decided, play
 from tests.sure import only
 
-A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
-
-DOOR = "door.open.secure"
 ASK = RequestCapability(A, B, DOOR, "visit", "q1")
 RUNNING = ("RequestAdmitted", "ExecutionQueued")
 

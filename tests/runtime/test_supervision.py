@@ -31,11 +31,10 @@ from fsar_ledger.runtime.handlers.supervision import (
 )
 from tests import past
 from tests.runtime.governed import H_F, governed
-from tests.runtime.histories import ARRIVED, DELEGATED_STEP, given, types, window
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, A, B, given, types, window
 from tests.runtime.live import decided, play, refusal
 from tests.sure import only
 
-A, B = Robot("robot/A1"), Robot("robot/B1")
 H_A, H_B = Supervisor("supervisor/A1"), Supervisor("supervisor/B1")
 ACTION = "A1-1/2.1"
 REQUESTED = (ARRIVED, DELEGATED_STEP, past.queried(Subject("A1-1", ACTION), past.parties(A, B), "door.open.secure", B))

@@ -19,11 +19,9 @@ from fsar_ledger.runtime.handlers.trust import (
 )
 from tests import past
 from tests.runtime.governed import H_F
-from tests.runtime.histories import ARRIVED, given
+from tests.runtime.histories import ARRIVED, DOOR, A, B, D, given
 from tests.runtime.live import decided, refusal
 
-A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
-DOOR = "door.open.secure"
 H_B = Supervisor("supervisor/B1")
 
 

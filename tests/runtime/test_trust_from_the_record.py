@@ -14,10 +14,10 @@ from fsar_ledger.runtime.handlers.commands import Command
 from fsar_ledger.runtime.handlers.trust import AssessTrust, ExpireTrust, SetTrustThresholds, assess_trust, expire_trust
 from tests import past
 from tests.runtime.governed import H_F, governed
-from tests.runtime.histories import ARRIVED, given
+from tests.runtime.histories import ARRIVED, DOOR, A, B, C, D, given
 from tests.runtime.live import decided, refusal
 from tests.runtime.pinned import PINNED
-from tests.runtime.test_trust import DOOR, H_B, A, B, C, D, results
+from tests.runtime.test_trust import H_B, results
 
 
 def test_only_the_fleet_supervisor_has_trust_follow_the_record() -> None:

@@ -11,7 +11,7 @@ from fsar_ledger.base.errors import InvalidExperiment
 from fsar_ledger.designs.constants import Constants, Outages
 from fsar_ledger.designs.registered import PAPER_WORKFLOWS as WORKFLOWS
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Robot, Subject, Workflow
+from fsar_ledger.events.envelope import Subject, Workflow
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionStarted
 from fsar_ledger.events.recovery import (
     AttemptRolledBack,
@@ -42,14 +42,13 @@ from fsar_ledger.runtime.handlers.commands import Respond
 from fsar_ledger.runtime.simulation import RunSpec, handler_table_of, simulate_run
 from fsar_ledger.runtime.world.schedule import schedule
 from tests import past
-from tests.runtime.histories import given, happen, types, window
+from tests.runtime.histories import A, B, D, given, happen, types, window
 from tests.runtime.live import decided
 from tests.runtime.test_resume import assert_resumes
 from tests.sure import only
 
 SEEDS = (1, 2, 3, 42, 2026)
 E = TypeVar("E", bound=Event)
-A, B, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/D1")
 
 
 def played(workflow: Workflow, seed: int, run: int = 0) -> tuple[Event, ...]:
