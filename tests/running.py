@@ -1,7 +1,9 @@
-"""Programs that are run to their end."""
+"""Programs that are run to their end, and what a process may take."""
 
+import resource
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,17 @@ from typing import Any
 def ran(command: Sequence[Any], check: bool = False, **options: Any) -> subprocess.CompletedProcess[str]:
     """Run the command; what it wrote is text. It may fail unless that is checked."""
     return subprocess.run(command, capture_output=True, text=True, check=check, **options)
+
+
+@contextmanager
+def files_of_at_most(size_bytes: int) -> Iterator[None]:
+    """Make the kernel refuse to write a file beyond this size (EFBIG); Python ignores the signal that it sends."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def rss_kib(process: int | str = "self") -> int:

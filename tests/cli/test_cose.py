@@ -15,6 +15,7 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.cli import app
 from fsar_ledger.ledger.store.keys import read_verifier
 from tests.cli.conftest import SMALL, Call, in_a_process, one_message
+from tests.ledger.samples import contents
 from tests.running import ran
 
 TRUST = Path(__file__).parents[2] / "docs" / "trust.md"
@@ -42,10 +43,6 @@ def statement(folder: Path) -> Path:
         app.run(["prove", str(folder / "ledger"), "1:12", "--as", "cose", "--key", str(key), "--out", str(file)]) == 0
     )
     return file
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {str(path): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 def test_a_statement_shows_the_same_as_the_text(call: Call, folder: Path, statement: Path) -> None:

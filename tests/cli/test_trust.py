@@ -11,6 +11,7 @@ from fsar_ledger.cli import app
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.keys import read_verifier
 from tests.cli.conftest import SMALL, Call, Called, in_a_process, one_message
+from tests.ledger.samples import contents
 
 RUN = "fsar.full.door-relay.n4.s7.r0000"
 
@@ -123,8 +124,8 @@ def test_a_ledger_has_the_origin_that_was_asked_for_or_the_name_of_its_key(call:
 
 def test_who_signs_changes_the_notes_and_nothing_else(folder: Path, ledger: Path) -> None:
     def rest(path: Path) -> dict[str, bytes]:
-        files = {str(file.relative_to(path)): file.read_bytes() for file in path.rglob("*") if file.is_file()}
-        return {name: data for name, data in files.items() if name.startswith(("segments", "tile", "ledger.json"))}
+        same = ("segments", "tile", "ledger.json")
+        return {name: data for name, data in contents(path).items() if name.startswith(same)}
 
     assert rest(folder / "ledger") == rest(ledger)
 

@@ -4,11 +4,8 @@ not; `python -m tests.ledger.crash_soak` tries all."""
 import errno
 import os
 import random
-import resource
 import signal
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -24,6 +21,7 @@ from tests.ledger.power import choices
 from tests.ledger.readers_beside_soak import trial
 from tests.ledger.samples import ORIGIN, append_all, contents
 from tests.quick import few
+from tests.running import files_of_at_most
 
 
 @pytest.fixture
@@ -188,17 +186,6 @@ def test_signals_interrupt_no_append(tmp_path: Path) -> None:
     append_all(tmp_path / "calm", BATCHES)
     assert rings[signal.SIGALRM] > 10
     assert contents(tmp_path / "interrupted") == contents(tmp_path / "calm")
-
-
-@contextmanager
-def files_of_at_most(size_bytes: int) -> Iterator[None]:
-    """Make the kernel refuse to write a file beyond this size (EFBIG)."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_a_segment_that_the_disk_has_no_room_for_leaves_nothing_behind(tmp_path: Path) -> None:

@@ -12,8 +12,8 @@ from fsar_ledger.ledger.verify import recover
 from tests.ledger.damage import SIGNER, piece, write_cut_short
 from tests.ledger.faults import Fault, FaultyOs, Killed, calls_of, in_place_of_os
 from tests.ledger.samples import append_all, contents
-from tests.ledger.test_crash import files_of_at_most
 from tests.quick import few
+from tests.running import files_of_at_most
 
 KINDS = ("disk-full", "no-space", "io-error-after", "killed")
 MORE = [[piece(3, 0, 6)]]

@@ -1,11 +1,9 @@
 """Reports of whole and incomplete ledgers, and outputs that cannot be written."""
 
 import os
-import resource
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,6 +12,7 @@ from fsar_ledger.base.errors import NotALedger, UsageError, WriteFailed
 from fsar_ledger.base.publishing import publish
 from fsar_ledger.report import build
 from fsar_ledger.report.build import write_report
+from tests.running import files_of_at_most
 
 Make = Callable[..., Path]
 REPORT = """
@@ -73,26 +72,15 @@ def test_report_and_numbers_in_the_same_file_are_refused(ledger: Path, tmp_path:
     assert out.read_bytes() == b"old"
 
 
-@contextmanager
-def small_files() -> Iterator[None]:
-    """Let no file grow beyond 1,000 bytes: the kernel refuses, and Python ignores the signal that it sends."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
 def test_disk_that_takes_no_more_leaves_the_old_file(tmp_path: Path) -> None:
     out = tmp_path / "report.pdf"
     out.write_bytes(b"old")
-    with small_files(), pytest.raises(WriteFailed, match="Nothing was changed"):
+    with files_of_at_most(1000), pytest.raises(WriteFailed, match="Nothing was changed"):
         publish(out, bytes(5000))
     assert [path.name for path in tmp_path.iterdir()] == ["report.pdf"]
     assert out.read_bytes() == b"old"
 
 
 def test_full_folder_for_temporary_files_is_said() -> None:
-    with small_files(), pytest.raises(WriteFailed, match="temporary files"):
+    with files_of_at_most(1000), pytest.raises(WriteFailed, match="temporary files"):
         build.pdf(bytes(5000), {})

@@ -15,8 +15,8 @@ from fsar_ledger.events.request import RequestAccepted
 from fsar_ledger.events.source import Observed
 from fsar_ledger.sources.names import NamedPerson, PrivateNames, committed
 from fsar_ledger.sources.recorder import FORMAT, WITH_COMMITMENTS, Recorder
-from tests.ledger.test_crash import files_of_at_most
 from tests.recycled import asked
+from tests.running import files_of_at_most
 
 ANN = "supervisor/ann"
 
