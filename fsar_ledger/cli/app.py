@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -66,24 +67,18 @@ HOMES = {
 
 
 class Commands(Mapping[str, Any]):
-    """The commands by name; each is created on first access, since a call needs only one."""
-
-    def __init__(self) -> None:
-        self._made: dict[str, Any] = {}
-        self._names = [name for names in GROUPS.values() for name in names]
+    """The commands by name; each is created when it is asked for, since a call needs only one."""
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
+        return chain.from_iterable(GROUPS.values())
 
     def __len__(self) -> int:
-        return len(self._names)
+        return sum(map(len, GROUPS.values()))
 
     def __getitem__(self, name: str) -> Any:
-        if name not in self._names:
+        if name not in list(self):
             raise KeyError(name)
-        if name not in self._made:
-            self._made[name] = _build_command(name, _verbs(name))
-        return self._made[name]
+        return _build_command(name, _verbs(name))
 
 
 class Family(TyperGroup):
