@@ -8,7 +8,6 @@ readings that affect it; the empty one is ours. Nothing is simulated again: the 
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache, partial
 from itertools import product
-from typing import Any
 
 import msgspec
 import pyarrow as pa
@@ -18,7 +17,7 @@ from fsar_ledger.designs.registered import PAPER_SCENARIOS
 
 from .database import Database
 from .library import READINGS, Query, library
-from .results import CONDITIONS, SETTINGS, setting_of, typed
+from .results import SETTINGS, named_setting, setting_of, typed
 from .robustness import OrderUnderReadings, rankings, steady
 from .slices import SliceQuery
 from .verdicts import published
@@ -357,12 +356,13 @@ def cells(found: Iterable[Universe], *, is_of_paper: bool = True) -> Iterator[Ce
             if len(names) == 1 and ours.mean is not None and steady(mean) != steady(ours.mean)
         ]
         moved_by, moving = max(alone, key=lambda pair: abs(pair[0]), default=(0.0, None))
-        printed = published().get((ours.metric, ours.architecture or ""))
+        is_printed = is_of_paper and (ours.configuration, ours.fleet_size, ours.kind) == PRINTED
+        printed = published().get((ours.metric, ours.architecture or "")) if is_printed else None
         yield Cell(
             metric=ours.metric,
             architecture=ours.architecture,
-            **_conditions(ours),
-            paper=printed.value if printed is not None and is_of_paper and _of_paper(ours) == PRINTED else None,
+            **named_setting(ours),
+            paper=None if printed is None else printed.value,
             ours=ours.mean,
             lowest=lowest[0],
             highest=highest[0],
@@ -374,11 +374,3 @@ def cells(found: Iterable[Universe], *, is_of_paper: bool = True) -> Iterator[Ce
             highest_under=highest[1],
             runs_not_observed=ours.runs_not_observed,
         )
-
-
-def _of_paper(universe: Universe) -> tuple[str | None, int | None, str]:
-    return universe.configuration, universe.fleet_size, universe.kind
-
-
-def _conditions(universe: Universe) -> dict[str, Any]:
-    return dict(zip(CONDITIONS, setting_of(universe), strict=True))

@@ -23,6 +23,11 @@ setting_of = attrgetter(*CONDITIONS)
 """Returns the values of these columns of a row."""
 
 
+def named_setting(row: Any) -> dict[str, Any]:
+    """Return the values of these columns of a row, by name."""
+    return {name: getattr(row, name) for name in CONDITIONS}
+
+
 def of_all_seeds(setting: Sequence[Any]) -> dict[str, Any]:
     """Return a setting by name, as parameters of a query that takes the runs of all seeds together."""
     return {name: value for name, value in zip(CONDITIONS, setting, strict=True) if name != "seed"}

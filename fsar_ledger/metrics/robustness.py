@@ -14,7 +14,7 @@ import msgspec
 
 from .definitions import metrics
 from .registration import Sample, SampleAround
-from .results import CONDITIONS, setting_of
+from .results import named_setting, setting_of
 from .study_results import GroundedResult, Row, rows_of
 
 if TYPE_CHECKING:
@@ -353,7 +353,7 @@ def rankings(found: "Iterable[Universe]", better: Mapping[str, str]) -> Iterator
         yield OrderUnderReadings(
             metric=first.metric,
             better=better[first.metric],
-            **dict(zip(CONDITIONS, setting_of(first), strict=True)),
+            **named_setting(first),
             order=" > ".join(" = ".join(equals) for equals in ours) if is_ranked else None,
             combinations=len(orders),
             same_order=len(orders) - len(changed) if is_ranked else None,

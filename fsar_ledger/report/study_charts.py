@@ -8,7 +8,7 @@ from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.metrics.definitions import Metric, published_metrics
 from fsar_ledger.metrics.effects import Effect, Sensitivity, reach
 from fsar_ledger.metrics.multiverse import Cell, Multiverse, Reading, ReadingNames, Universe
-from fsar_ledger.metrics.results import CONDITIONS
+from fsar_ledger.metrics.results import setting_of
 from fsar_ledger.report import figures
 
 COLUMNS = 2
@@ -66,10 +66,10 @@ def ordered(universes: Sequence[Universe], spec: Metric) -> list[Column]:
     The smallest lead comes first; ties are ordered by their readings.
     """
     of_metric = [universe for universe in universes if universe.metric == spec.name]
-    setting = [getattr(of_metric[0], name) for name in CONDITIONS] if of_metric else []
+    setting = setting_of(of_metric[0]) if of_metric else None
     means: dict[ReadingNames, dict[str, float]] = {}
     for universe in of_metric:
-        if [getattr(universe, name) for name in CONDITIONS] == setting:
+        if setting_of(universe) == setting:
             by_architecture = means.setdefault(universe.readings, {})
             if universe.mean is not None and universe.architecture in figures.COLOURS:
                 by_architecture[universe.architecture] = universe.mean * spec.factor
@@ -87,13 +87,11 @@ def lead(means: dict[str, float], better: str) -> float:
 def printed(cells: Sequence[Cell], spec: Metric) -> dict[str, float]:
     """Return the paper's number for each architecture; empty if it prints none for the first setting."""
     of_metric = [cell for cell in cells if cell.metric == spec.name]
-    setting = [getattr(of_metric[0], name) for name in CONDITIONS] if of_metric else []
+    setting = setting_of(of_metric[0]) if of_metric else None
     return {
         cell.architecture: cell.paper * spec.factor
         for cell in of_metric
-        if cell.architecture is not None
-        and cell.paper is not None
-        and [getattr(cell, name) for name in CONDITIONS] == setting
+        if cell.architecture is not None and cell.paper is not None and setting_of(cell) == setting
     }
 
 
