@@ -250,7 +250,9 @@ def _add(text: str) -> Add | tuple[Add, ...]:
         return _added(first, rest.split())
     if isinstance(fields := msgspec.json.decode(rest), dict) and "command" in fields:
         return Add(seconds_of(first), fact_text(fact_of(rest)))
-    return Add(seconds_of(first), _checked(msgspec.json.decode(_newest(rest), type=WorldEvent)))
+    text = _newest(rest)  # as it was given, so that the changes of a fork are read as they are stored
+    _checked(msgspec.json.decode(text, type=WorldEvent))
+    return Add(seconds_of(first), text)
 
 
 def fact_text(event: Event) -> str:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, RecoveryLevel, TrustScope
-from fsar_ledger.events.world import ObstructionAppeared, ObstructionCleared, PeersMet, PolicyWindowClosed
+from fsar_ledger.events.world import Grade, ObstructionAppeared, ObstructionCleared, PeersMet, PolicyWindowClosed
 from fsar_ledger.runtime.change_texts import FORMS, SHORT, fact_of, fact_text, parsed, read_changes, seconds_of
 from fsar_ledger.runtime.changes import (
     Add,
@@ -131,6 +131,14 @@ def test_each_short_form_makes_facts(kind: str) -> None:
     word = {"routine": " motion"}.get(kind, "")
     found = parsed([f"add {kind}:{who} 20s{' for 5s' if is_spell else ''}{word}"])
     assert len(found) == 1 + is_spell
+    assert parsed(list(map(str, found))) == found
+
+
+@pytest.mark.parametrize(
+    "text", [*(f"add degradation:B1 5s {grade}" for grade in get_args(Grade)), "add degradation:B1 5s"]
+)
+def test_each_grade_of_degradation_reads_as_it_is_written(text: str) -> None:
+    found = parsed([text])
     assert parsed(list(map(str, found))) == found
 
 
