@@ -170,16 +170,19 @@ Commanded = Rule | Trust | Budget | Density
 """Changes that a supervisor commands."""
 Changes = tuple[AnyChange, ...]
 
-Rules = Literal["now", "to 0.16", "to 0.15"]
+Rules = Literal["now", "to 0.18", "to 0.16", "to 0.15"]
 """The meaning of changes, by release.
 
-Up to 0.16, a constant set from a time on drops the facts of the other world whose number is already used, and of two
-overlapping spells the first end counts. Up to 0.15, each change also names what the changes before it left.
+Up to 0.18, a task that is moved is due when it was, and one that is added when it says. Up to 0.16, a constant set from
+a time on drops the facts of the other world whose number is already used, and of two overlapping spells the first end
+counts. Up to 0.15, each change also names what the changes before it left.
 """
 NOW: Rules = "now"
+TO_0_18: Rules = "to 0.18"
 TO_0_16: Rules = "to 0.16"
 TO_0_15: Rules = "to 0.15"
-RULES = (NOW, TO_0_16, TO_0_15)
+UP_TO_0_16 = (TO_0_16, TO_0_15)
+RULES = (NOW, TO_0_18, TO_0_16, TO_0_15)
 
 NEVER = "never"
 """The answer that does not come before the run ends."""

@@ -16,6 +16,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR
 from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fleet import NEVER_US, Fleet
 
@@ -33,6 +34,7 @@ from .changeable import (
 from .changes import (
     NOW,
     TO_0_15,
+    UP_TO_0_16,
     Add,
     Answer,
     Budget,
@@ -43,6 +45,7 @@ from .changes import (
     Move,
     OfFacts,
     Rule,
+    Rules,
     Trust,
     microseconds_of,
     seconds_text,
@@ -67,26 +70,24 @@ def edited_facts(
     facts: Sequence[Fact],
     changes: Sequence[OfFacts],
     last_us: int = END_US,
-    *,
-    counts_anew: bool = False,
-    unites: bool = True,
+    rules: Rules = NOW,
 ) -> tuple[Fact, ...]:
     """Return the facts with these changes, in order of time, no two at the same microsecond and none after `last_us`.
 
-    Names are resolved in the facts as given; with `counts_anew`, in what the preceding changes have left. A name that
-    no fact has changes nothing. With `unites`, spells of one principal that overlap through these changes end when
-    both have ended.
+    Names are resolved in the facts as given. A name that no fact has changes nothing. A task that is moved or added is
+    due when its budget ends. Spells of one principal that overlap through these changes end when both have ended.
+    Earlier `rules` differ.
 
     Raises:
         UsageError: A fact would happen before the run begins, or after it has ended.
     """
     placed, names = _indexed_facts(facts), facts_by_name(tuple(facts))
     for change in changes:
-        if counts_anew:
+        if rules == TO_0_15:
             remaining = _unplaced(placed)
             placed, names = _indexed_facts(remaining), facts_by_name(remaining)
-        placed = _changed(placed, change, names, last_us)
-    return united(_unplaced(placed), _placed_by(changes, facts)) if unites else _unplaced(placed)
+        placed = _changed(placed, change, names, last_us, rules)
+    return _unplaced(placed) if rules in UP_TO_0_16 else united(_unplaced(placed), _placed_by(changes, facts))
 
 
 def _placed_by(changes: Sequence[OfFacts], facts: Sequence[Fact]) -> list[Event]:
@@ -105,18 +106,19 @@ def _unplaced(facts: list[_Placed]) -> tuple[Fact, ...]:
     return tuple((time_us, fact) for time_us, fact, _ in facts)
 
 
-def _changed(facts: list[_Placed], change: OfFacts, names: FactPositions, last_us: int) -> list[_Placed]:
+def _changed(facts: list[_Placed], change: OfFacts, names: FactPositions, last_us: int, rules: Rules) -> list[_Placed]:
     if isinstance(change, Add):
-        return _apart(facts, [(_within(change, microseconds_of(change.at_s), last_us), fact_of(change.event), None)])
+        time_us = _within(change, microseconds_of(change.at_s), last_us)
+        return _apart(facts, [(time_us, fact_of(change.event), None)], rules)
     indices = {index for name in matching_names(change.fact, names) for index in names[name]}
     remaining = [entry for entry in facts if entry[2] not in indices]
     if isinstance(change, Drop):
         return remaining
     by_us = microseconds_of(change.by_s)
-    moved = [entry for entry in facts if entry[2] in indices]
-    return _apart(
-        remaining, [(_within(change, time_us + by_us, last_us), fact, index) for time_us, fact, index in moved]
-    )
+    moved: list[_Placed] = [
+        (_within(change, time_us + by_us, last_us), fact, index) for time_us, fact, index in facts if index in indices
+    ]
+    return _apart(remaining, moved, rules)
 
 
 def _within(change: Add | Move, time_us: int, last_us: int) -> int:
@@ -128,7 +130,7 @@ def _within(change: Add | Move, time_us: int, last_us: int) -> int:
     return time_us
 
 
-def _apart(facts: list[_Placed], inserted: list[_Placed]) -> list[_Placed]:
+def _apart(facts: list[_Placed], inserted: list[_Placed], rules: Rules = NOW) -> list[_Placed]:
     """Return all facts in order of time; the inserted ones move to the next free microsecond."""
     taken = {time_us for time_us, *_ in facts}
     placed: list[_Placed] = []
@@ -136,6 +138,8 @@ def _apart(facts: list[_Placed], inserted: list[_Placed]) -> list[_Placed]:
         while time_us in taken:
             time_us += 1
         taken.add(time_us)
+        if isinstance(fact, TaskArrived) and fact.budget_us is not None and rules == NOW:
+            fact = msgspec.structs.replace(fact, due_us=time_us + fact.budget_us)
         placed.append((time_us, fact, index))
     return sorted((*facts, *placed), key=lambda entry: entry[0])
 
@@ -179,13 +183,12 @@ def edited_environment(recipe: Recipe) -> EditedEnvironment:
     unedited = world_of(recipe)
     facts: tuple[Fact, ...] = tuple(unedited.facts)
     for from_us, era in eras(recipe):
-        facts = continued(facts, tuple(era.facts), from_us, numbers_again=recipe.rules != NOW)
+        facts = continued(facts, tuple(era.facts), from_us, numbers_again=recipe.rules in UP_TO_0_16)
     fact_changes = [change for change in recipe.changes if isinstance(change, Drop | Move | Add)]
     answers = [change for change in recipe.changes if isinstance(change, Answer)]
     facts = _altered(facts, answers)
     if recipe.live is None:
-        is_now, counts_anew = recipe.rules == NOW, recipe.rules == TO_0_15
-        facts = edited_facts(facts, fact_changes, counts_anew=counts_anew, unites=is_now)
+        facts = edited_facts(facts, fact_changes, rules=recipe.rules)
         return EditedEnvironment(unedited, facts, answers)
     facts = edited_facts(facts, fact_changes, recipe.live.until_us)
     fleet = fleet_founding(recipe.spec.fleet_size, recipe.constants, recipe.live.alone)[1].fleet

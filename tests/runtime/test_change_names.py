@@ -1,7 +1,5 @@
 """Several changes of one fork: each names a fact as the base has it, whatever the others do."""
 
-from typing import Any
-
 import pytest
 
 from fsar_ledger.designs.constants import Constants
@@ -9,12 +7,12 @@ from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.world import RoutineDue
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.runtime import forks
 from fsar_ledger.runtime.change_texts import parsed
-from fsar_ledger.runtime.changes import Add, Drop, Move
+from fsar_ledger.runtime.changes import TO_0_15, Add, Drop, Move
 from fsar_ledger.runtime.forks import edited_facts
 from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import environment_of
+from tests.runtime.test_fork_worlds import forked_under
 from tests.runtime.test_forks import S, base, forked
 
 A1 = Robot("robot/A1")
@@ -51,12 +49,7 @@ def test_a_change_names_a_fact_of_the_base_whatever_the_others_do(texts: tuple[s
 
 
 def test_a_fork_of_an_earlier_release_whose_changes_name_what_others_left_is_no_forgery() -> None:
-    def counted_anew(facts: Any, changes: Any, **_: Any) -> Any:
-        return edited_facts(facts, changes, counts_anew=True)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(forks, "edited_facts", counted_anew)
-        old = forked(*TWO).record
+    old = forked_under(TO_0_15, *TWO)
     assert old.events != forked(*TWO).record.events
     assert replay_run(old) is None
     at = next(seq for seq, event in enumerate(old.events) if isinstance(event, ExecutionStarted))

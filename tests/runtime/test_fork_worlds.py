@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 
+import msgspec
 import pytest
 
 from fsar_ledger.analysis.why import decisions
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, Supervisor
+from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import (
     ContextChanged,
     ObstructionAppeared,
@@ -21,16 +23,17 @@ from fsar_ledger.events.world import (
     SupervisorReturned,
     TaskArrived,
 )
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime import forks
 from fsar_ledger.runtime.change_texts import parsed
 from fsar_ledger.runtime.changeable import continued
-from fsar_ledger.runtime.changes import Add, Drop, Move
+from fsar_ledger.runtime.changes import TO_0_16, TO_0_18, Add, Drop, Move, Rules
 from fsar_ledger.runtime.forks import edited_environment, edited_facts
 from fsar_ledger.runtime.ports import Fact
 from fsar_ledger.runtime.recipes import Recipe, with_changes
 from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import RunSpec, environment_of
-from tests.runtime.test_forks import S, base, forked
+from tests.runtime.test_forks import S, base, forked, of_type
 
 HALF = {
     RoutineDue: "set world.routine_rate_per_s=0.111 from 50s",
@@ -40,6 +43,13 @@ HALF = {
     PeersMet: "set world.encounter_mean_s=180 from 50s",
 }
 """By fact of the world, the change by which it happens half as often from a time on."""
+
+
+def forked_under(rules: Rules, *texts: str) -> LedgerRun:
+    """The record of such a fork as an earlier release made it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(forks, "with_changes", lambda *of: msgspec.structs.replace(with_changes(*of), rules=rules))
+        return forked(*texts).record
 
 
 def spec(seed: int) -> RunSpec:
@@ -135,15 +145,35 @@ def test_a_fork_of_an_earlier_release_that_read_such_changes_otherwise_is_no_for
         ("set world.fleet_rule_rate_per_s=0.0163 from 50s", "set world.routine_rate_per_s=0.111 from 50s"),
         ("add off:B1 20s for 30s", "add off:B1 25s for 50s"),
     ):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(forks, "NOW", "another")
-            old = forked(*texts).record
-        new = forked(*texts).record
+        old, new = forked_under(TO_0_16, *texts), forked(*texts).record
         assert old.events != new.events
         assert replay_run(old) is None
         assert replay_run(new) is None
         last = max(seq for seq, cause in enumerate(old.caused_by) if cause)
         assert [*decisions(old, [last])] == [last], "why it happened can be asked, too"
+
+
+TASK = '{"type":"TaskArrived","task_id":"A1-9","robot":"robot/A1","team":1,"steps":["A navigate.indoor"],'
+
+
+@pytest.mark.parametrize("text", ["move task:A1-2 +60s", "move task:A1-1 -5s", f'add 90s {TASK}"budget_us":30000000}}'])
+def test_a_task_that_is_moved_or_added_is_due_when_its_budget_ends(text: str) -> None:
+    found, earlier = forked(text).record, forked_under(TO_0_18, text)
+    dues = [[event.due_us for _, event in of_type(record, TaskArrived)] for record in (base()[1], earlier, found)]
+    budgets = [time_us + event.budget_us for time_us, event in of_type(found, TaskArrived)]
+    assert dues[2] == budgets
+    assert dues[1][:2] == dues[0], "to 0.18 it was due when it was before, or never"
+    assert replay_run(found) is None
+    assert replay_run(earlier) is None
+
+
+def test_a_task_that_is_added_late_is_not_given_up_before_it_begins() -> None:
+    (done,) = (
+        time_us
+        for time_us, event in of_type(forked(f'add 90s {TASK}"budget_us":30000000}}').record, TaskCompleted)
+        if event.task_id == "A1-9"
+    )
+    assert done < 120 * S
 
 
 def test_a_fork_with_a_lower_rate_from_a_time_on_repeats_its_base_until_then() -> None:
