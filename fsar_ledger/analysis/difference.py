@@ -282,14 +282,15 @@ class TaskPair(msgspec.Struct, frozen=True):
 
     Also None: a task still open where a run ends before all has happened.
 
-    Units: seconds of run time; `due_s` of the first run that has it, None where no budget is on record. A task that is
-    completed later than that is late.
+    Units: seconds of run time. `due_s`: when it is due in the first run, `second_due_s` in the second; None where no
+    budget is on record, or it did not arrive. A task that is completed later than that is late.
     """
 
     task_id: str
     due_s: float | None
     first: str | None
     first_s: float | None
+    second_due_s: float | None
     second: str | None
     second_s: float | None
 
@@ -372,16 +373,9 @@ def _other(run: str) -> str:
 
 def _tasks(first: LedgerRun, second: LedgerRun) -> list[TaskPair]:
     sides = [_ends(run) for run in (first, second)]
+    absent = (None, None, None)
     names = dict.fromkeys((*sides[0], *sides[1]))
-    return [
-        TaskPair(
-            name,
-            (sides[0].get(name) or sides[1][name])[0],
-            *(sides[0][name][1:] if name in sides[0] else (None, None)),
-            *(sides[1][name][1:] if name in sides[1] else (None, None)),
-        )
-        for name in names
-    ]
+    return [TaskPair(name, *sides[0].get(name, absent), *sides[1].get(name, absent)) for name in names]
 
 
 def _ends(run: LedgerRun) -> dict[str, tuple[float | None, str, float | None]]:
@@ -391,7 +385,7 @@ def _ends(run: LedgerRun) -> dict[str, tuple[float | None, str, float | None]]:
         match event:
             case TaskArrived():
                 budgeted_us = None if event.budget_us is None else time_us + event.budget_us
-                due_us = budgeted_us if event.due_us is None else event.due_us
+                due_us = event.due_us if budgeted_us is None else budgeted_us
                 ends[event.task_id] = (None if due_us is None else due_us / 1e6, "open", None)
             case TaskCompleted() | TaskAbandoned() if event.task_id in ends:
                 word = "completed" if isinstance(event, TaskCompleted) else "abandoned"

@@ -326,17 +326,27 @@ def _metrics(outcomes: "OutcomesDiff", names: tuple[str, str], screen: Screen) -
 
 
 def _tasks(outcomes: "OutcomesDiff", names: tuple[str, str], screen: Screen) -> SafeText:
+    differing = [
+        task
+        for task in outcomes.tasks
+        if (task.first, task.first_s, task.due_s) != (task.second, task.second_s, task.second_due_s)
+    ]
+    is_due_alike = not any(task.first and task.second and task.due_s != task.second_due_s for task in differing)
     rows = [
         {
             "task": task.task_id,
-            "due_s": task.due_s,
+            **(
+                {"due_s": task.due_s if task.first else task.second_due_s}
+                if is_due_alike
+                else {f"{names[0]}_due_s": task.due_s}
+            ),
             names[0]: task.first,
             f"{names[0]}_s": task.first_s,
+            **({} if is_due_alike else {f"{names[1]}_due_s": task.second_due_s}),
             names[1]: task.second,
             f"{names[1]}_s": task.second_s,
         }
-        for task in outcomes.tasks
-        if (task.first, task.first_s) != (task.second, task.second_s)
+        for task in differing
     ]
     if not rows:
         return printable.lines("", "all tasks end alike" if outcomes.tasks else "no task is on record in either")

@@ -82,6 +82,17 @@ def test_a_fork_is_told_kept_and_replays(call: Call, ledger: Path, tmp_path: Pat
 
 
 @pytest.mark.slow
+def test_a_task_that_ends_alike_and_is_due_at_another_time_is_shown_with_both(call: Call, ledger: Path) -> None:
+    answer = call("whatif", ledger, "--run", "1", "--change", "set world.budget_base_s=1").good()
+    columns, _, *rows = answer.out.partition("\ntask ")[2].splitlines()
+    assert columns.split() == ["base_due_s", "base", "base_s", "fork_due_s", "fork", "fork_s"]
+    for name, due_s, base, base_s, fork_due_s, fork, fork_s in (row.split() for row in rows[:2]):
+        assert float(due_s) - float(fork_due_s) == pytest.approx(21.2), name
+        assert (base, base_s) == (fork, fork_s)
+    gone = call("whatif", ledger, "--run", "1", "--change", "drop task:A1-1").good().out.partition("\ntask ")[2]
+    assert gone.split()[:5] == ["due_s", "base", "base_s", "fork", "fork_s"]
+
+
 def test_where_the_same_event_holds_something_else_its_fields_are_told(call: Call, ledger: Path) -> None:
     words = ("whatif", ledger, "--run", "1", "--change")
     out = call(*words, "answer execution:A1-1/1.1 9s").out
