@@ -1,5 +1,6 @@
 """Recorded runs that can be forked, and the checks on the changes of a fork."""
 
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
@@ -47,6 +48,7 @@ from fsar_ledger.runtime.live import QuestionKey, commands_of
 from fsar_ledger.runtime.own import problems_of_commands
 from fsar_ledger.runtime.recipes import CannotReplay, Recipe, recipe_of
 from fsar_ledger.runtime.simulation import founding_of
+from fsar_ledger.runtime.world.checks import problems_of_end, problems_of_fact, problems_of_name
 
 LIST = "`whatif LEDGER --run RUN --list` lists all"
 
@@ -112,7 +114,7 @@ class Rerun(NamedTuple):
     def checked_fork(self, changes: Changes) -> Fork:
         """Return the fork with these changes. Raises: UsageError; also if it cannot be played with an added fact."""
         try:
-            return self.fork(changes)
+            forked = self.fork(changes)
         except (LookupError, ValueError, RuntimeError, TypeError) as error:
             added = [change for change in changes if isinstance(change, Add)]
             if isinstance(error, UsageError) or not added:
@@ -123,6 +125,10 @@ class Rerun(NamedTuple):
                 f"change {added[0]}: the run cannot be simulated with it ({type(error).__name__}: {error!s:.200}), "
                 "expected a fact that this fleet can meet"
             ) from error
+        for change in (change for change in changes if isinstance(change, Add)):
+            for problem in problems_of_name(fact_of(change.event), forked.record.events):
+                raise UsageError(f"change {change}: {problem}")
+        return forked
 
     def fork_with_effect(self, changes: Changes) -> Fork:
         """Return the fork with these changes. Raises: UsageError if one of them does nothing."""
@@ -132,7 +138,7 @@ class Rerun(NamedTuple):
         for change in changes:
             if isinstance(change, Answer):
                 _require_used(self, change, forked)
-            _require_task(self, change, forked)
+            _require_named(self, change, forked)
         if rejected := _rejected_in(self.base, forked):
             raise UsageError(_rejection(forked.record.events[rejected[0]]))
         is_same = forked.parts_at is None and forked.end is None
@@ -146,7 +152,7 @@ class Rerun(NamedTuple):
         try:
             if isinstance(change, Add | Set | Commanded):
                 _require_meant(self, change)
-            _require_task(self, change, forked)
+            _require_named(self, change, forked)
         except UsageError as error:
             return str(error)
         return None
@@ -222,8 +228,12 @@ def _require_meant(rerun: Rerun, change: AnyChange) -> None:
         )
 
 
-def _require_task(rerun: Rerun, change: AnyChange, forked: Fork) -> None:
-    """Check that a task that the change names arrives in the run or its fork. Raises: UsageError."""
+def _require_named(rerun: Rerun, change: AnyChange, forked: Fork) -> None:
+    """Check that the fork has what the change names: its task, or what it ends. Raises: UsageError."""
+    if isinstance(change, Add):
+        before = forked.record.events[: bisect_left(forked.record.times_us, microseconds_of(change.at_s))]
+        for problem in problems_of_end(fact_of(change.event), before):
+            raise UsageError(f"change {change}: {problem}")
     if not isinstance(change, Rule | Trust) or change.task is None:
         return
     records = (rerun.base.record, forked.record)
@@ -242,28 +252,15 @@ def _require_members(base: Base, change: Add) -> None:
         )
     if base.recipe.live is not None:
         return  # the handlers decide whether it can be carried out
+    design = base.recipe.constants.fleet or registered.fleet()
     if isinstance(fact, CommandGiven):
-        _require_possible(base, change, fact)
+        command = OutsideCommand(change.at_s, fact.command, fact.issued_by, fact.parameters)
+        for problem in problems_of_commands(Scenario("", (), commands=(command,)), design):
+            raise UsageError(f"change {change}: {problem._replace(field=problem.field[2:])}")
         return
     fleet = founding_of(base.recipe.spec, base.recipe.constants)[1].fleet
-    known = {*fleet.robots, *(robot.supervisor for robot in fleet.robots.values() if robot.supervisor is not None)}
-    for name in ("robot", "peer", "supervisor"):
-        named = getattr(fact, name, None)
-        if named is not None and named not in known:
-            of_kind = sorted(one for one in known if one.partition("/")[0] == named.partition("/")[0]) or sorted(known)
-            hint = printable.did_you_mean(named, of_kind) or ";"
-            raise UsageError(
-                f"change {change}: there is no {printable.value(named)} in the fleet{hint} expected one of "
-                f"{printable.list_few(of_kind)}"
-            )
-
-
-def _require_possible(base: Base, change: Add, fact: CommandGiven) -> None:
-    """Check that a scenario of this fleet could give the command. Raises: UsageError."""
-    command = OutsideCommand(change.at_s, fact.command, fact.issued_by, fact.parameters)
-    fleet = base.recipe.constants.fleet or registered.fleet()
-    for problem in problems_of_commands(Scenario("", (), commands=(command,)), fleet):
-        raise UsageError(f"change {change}: {problem.field[-1]}: found {problem.found}, expected {problem.expected}")
+    for problem in problems_of_fact(fact, design, fleet):
+        raise UsageError(f"change {change}: {problem}")
 
 
 def _require_answer(change: Answer, kinds: Sequence[str]) -> None:
@@ -376,7 +373,8 @@ def _is_of(change: AnyChange, time_us: int, event: Event, last_us: int) -> bool:
     """Return whether an uncaused event is that of the change, which is refused in a run that ends at `last_us`."""
     match change:
         case Add():
-            return event == fact_of(change.event)
+            is_then = 0 <= time_us - microseconds_of(change.at_s) < 100  # it moves to a free microsecond
+            return is_then and event == fact_of(change.event)
         case Rule() | Trust() if change.task is not None and getattr(event, "context", None) == change.task:
             return True
         case Set() | Rule() | Trust() | Budget() | Density() if change.from_s is not None:

@@ -1,5 +1,6 @@
 """What a change does, over pairs of runs that share every draw."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from fsar_ledger.analysis.whatif import EFFECTS, VALUES, Effect, Pair, changes_o
 from fsar_ledger.analysis.whatif import RUNS as ROWS
 from fsar_ledger.api.ledger import open_ledger as open_forks
 from fsar_ledger.base.errors import UsageError
+from fsar_ledger.events.world import PolicyWindowOpened, TaskArrived
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.ledger.verify import verify
@@ -181,8 +183,8 @@ BAD = [
     ("answer call:1 approve", "it has no effect, the answer is approve already"),
     ("answer attempt:A1-1/1.1/1 soon", "expected hold or fail"),
     ("answer response:1 soon", "expected a length"),
-    ("add off:Z9 3s for 5s", "there is no robot/Z9 in the fleet"),
-    ("add absence:Z9 3s for 5s", "there is no supervisor/Z9 in the fleet"),
+    ("add off:Z9 3s for 5s", "robot: found robot/Z9, expected one of the fleet"),
+    ("add absence:Z9 3s for 5s", "supervisor: found supervisor/Z9, expected one of the fleet"),
     ("add off:B1 3000s for 5s", "the run has ended by then"),
     ("rule fleet deny from 900s", "the run has ended by then"),
     ("set world.review_share=0.5 from 900s", "the run has ended by then"),
@@ -196,10 +198,67 @@ BAD = [
 ]
 
 
+def task(**fields: object) -> str:
+    """An added task of A1 with these fields, which is possible without them."""
+    whole = {"task_id": "A1-9", "robot": "robot/A1", "team": 1, "steps": ["A navigate.indoor"], "budget_us": 50_000_000}
+    return f"add 20s {json.dumps({'type': 'TaskArrived', **whole, **fields})}"
+
+
+def end(at: str, window: str) -> str:
+    fields = {"type": "PolicyWindowClosed", "robot": "robot/B1", "scope": "fleet", "window": window}
+    return f"add {at} {json.dumps(fields)}"
+
+
+ASKED = {"type": "OutsiderRequestInjected", "task_id": "q", "robot": "robot/A1", "peer": "robot/C1"}
+SUBMITTED = {"command": "SubmitTask", "by": "service/desk", "robot": "robot/A1", "budget_us": 50_000_000}
+BAD += [
+    (task(steps=["A navigate.indoor", "A door.open.basic Z"]), "found Z, expected one of the robots of fleet paper"),
+    (task(steps=["A carry.heavy"]), "found carry.heavy, which A cannot do, expected a capability of A's own"),
+    (task(steps=[]), "steps: found none, expected at least one step"),
+    (task(team=2), "team: found 2, expected 1, that of robot/A1"),
+    (task(robot=None), "robot: found none, expected a robot of the fleet"),
+    (task(budget_us=None), "budget_us: found none, expected its budget"),
+    (task(task_id="A1/9"), "task_id: found A1/9, expected a name without a slash"),
+    (task(checkpoints=["2"]), r"checkpoints\[0\]: found 2, expected one of the numbers of its steps"),
+    (task(task_id="A1-1"), "task_id: found A1-1, which is taken, expected a new name"),
+    (f"add 1s {json.dumps({**SUBMITTED, 'task_id': 'A1-1', 'steps': ['A navigate.indoor']})}", "A1-1, which is taken"),
+    (f"add 20s {json.dumps({**ASKED, 'capability': 'carry.hevy'})}", "found carry.hevy, .*did you mean carry.heavy"),
+    (end("20s", "fleet/B1/77"), "window: found fleet/B1/77, which is not there then"),
+    (end("200s", "fleet/B1/0"), "window: found fleet/B1/0, which is not there then"),
+]
+
+
 @pytest.mark.parametrize(("text", "message"), BAD)
 def test_a_change_that_does_nothing_in_the_run_is_an_error(asking: Base, text: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         rerun(asking).fork_with_effect(parsed([text]))
+
+
+def test_two_facts_of_one_name_are_an_error_in_every_call(asking: Base) -> None:
+    texts = ["add window:fleet/B1 20s for 5s", "add window:fleet/B1 20s for 5s review"]
+    with pytest.raises(UsageError, match="found fleet/B1/at-20s-for-5s, which is taken"):
+        rerun(asking).fork_with_effect(parsed(texts))
+    with pytest.raises(UsageError, match=f"which is taken, .* that is run {asking.record.run_id}"):
+        list(forks_of([asking], parsed(texts)))
+
+
+def test_a_task_takes_the_name_of_one_that_does_not_arrive(asking: Base) -> None:
+    found = rerun(asking).fork_with_effect(parsed(["drop task:A1-1", task(task_id="A1-1")]))
+    arrived = [event for event in found.record.events if isinstance(event, TaskArrived) and event.task_id == "A1-1"]
+    assert [event.steps for event in arrived] == [("A navigate.indoor",)]
+
+
+def test_an_end_that_is_added_where_nothing_has_begun_is_refused_and_no_effect(asking: Base) -> None:
+    window = next(event for event in asking.record.events if isinstance(event, PolicyWindowOpened))
+    opened_s = asking.record.times_us[asking.record.events.index(window)] / 1e6
+    fields = {"type": "PolicyWindowClosed", "robot": window.robot, "scope": window.scope, "window": window.window}
+    ((early,), (then,)) = (
+        list(forks_of([asking], parsed([f"add {at_s}s {json.dumps(fields)}"])))
+        for at_s in (opened_s - 1, opened_s + 0.01)
+    )
+    assert early.refused is not None
+    assert early.refused.is_same
+    assert then.refused is None
 
 
 @pytest.mark.parametrize(

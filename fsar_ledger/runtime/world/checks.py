@@ -1,14 +1,27 @@
-"""Checks of designs beyond their types: a fleet by itself, and a scenario for a fleet."""
+"""Checks of designs beyond their types: a fleet by itself, a scenario for a fleet, and a fact added to a run."""
 
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from math import isfinite
 from typing import NamedTuple
+
+import msgspec
 
 from fsar_ledger.base import printable
 from fsar_ledger.designs import Fleet, Policy, Robot, Scenario, Task, Workflow
 from fsar_ledger.designs.constants import DURATIONS, END_US
 from fsar_ledger.designs.registered import Field, field_name
+from fsar_ledger.events import Event
+from fsar_ledger.events.command import CommandGiven
+from fsar_ledger.events.world import (
+    ObstructionAppeared,
+    ObstructionCleared,
+    OutsiderRequestInjected,
+    PolicyWindowClosed,
+    PolicyWindowOpened,
+    TaskArrived,
+)
+from fsar_ledger.projections.fleet import Fleet as Founded
 from fsar_ledger.projections.trust import is_within
 
 _NAME = re.compile(r"[a-z][a-z0-9-]{0,38}[a-z0-9]")
@@ -213,6 +226,80 @@ def problems_of_scenario(scenario: Scenario, fleet: Fleet) -> Iterator[Problem]:
     if (count := sum(injection.times for injection in scenario.injections)) > MOST_TIMES:
         yield Problem(("injections",), f"{count:,} requests per team", f"at most {MOST_TIMES:,}")
     yield from _each(("degradable",), scenario.degradable, robots, f"the robots of fleet {fleet.name}")
+
+
+def problems_of_fact(fact: Event, fleet: Fleet, founded: Founded) -> Iterator[Problem]:
+    """Yield the problems of a fact of the world that is added to a run of this fleet, as it is founded."""
+    robots = [*founded.robots]
+    supervisors = sorted({robot.supervisor for robot in founded.robots.values() if robot.supervisor is not None})
+    for name, known in (("robot", robots), ("peer", robots), ("supervisor", supervisors)):
+        named = getattr(fact, name, None)
+        if named is not None and named not in known:
+            hint = printable.did_you_mean(named, known)
+            yield Problem((name,), printable.value(named), f"one of the fleet ({printable.list_few(known)}){hint}")
+            return
+    if isinstance(fact, OutsiderRequestInjected):
+        names = [capability.name for capability in fleet.capabilities]
+        yield from _unknown_name(("capability",), fact.capability, names, "the capabilities of the fleet")
+    if not isinstance(fact, TaskArrived):
+        return
+    if not fact.task_id or "/" in fact.task_id or ":" in fact.task_id:
+        yield Problem(("task_id",), printable.value(fact.task_id) or "none", "a name without a slash or a colon")
+    if fact.robot is None:
+        yield Problem(("robot",), "none", "a robot of the fleet")
+        return
+    team = founded.robots[fact.robot].team
+    if fact.team != team:
+        yield Problem(("team",), f"{fact.team or 'none'}", f"{team}, that of {fact.robot}")
+    if not 0 < (fact.budget_us or 0) <= END_US:
+        found = "none" if fact.budget_us is None else f"{fact.budget_us:,}"
+        yield Problem(("budget_us",), found, f"its budget, 1 to {END_US:,} microseconds")
+    owner = fact.robot.removeprefix("robot/").removesuffix(f"{team}")
+    task = Task(owner, fact.steps, checkpoints=fact.checkpoints)
+    for problem in _problems_of_tasks([task], {robot.name: robot for robot in fleet.robots}, fleet):
+        yield problem._replace(field=problem.field[2:])
+
+
+_NAMED: dict[type[Event], str] = {
+    TaskArrived: "task_id",
+    OutsiderRequestInjected: "task_id",
+    PolicyWindowOpened: "window",
+    ObstructionAppeared: "obstruction",
+}
+"""The fields that name facts; what has a name has it alone."""
+_ENDS: dict[type[Event], type[Event]] = {
+    PolicyWindowClosed: PolicyWindowOpened,
+    ObstructionCleared: ObstructionAppeared,
+}
+
+
+def problems_of_name(fact: Event, events: Sequence[Event]) -> Iterator[Problem]:
+    """Yield a problem if another of the events, which include the fact, has its name."""
+    field = _NAMED.get(type(fact))
+    name = None if field is None else getattr(fact, field)
+    if isinstance(fact, CommandGiven) and fact.command == "SubmitTask":
+        field, name = "task_id", msgspec.json.decode(fact.parameters)["task_id"]
+    if field is not None:
+        others = [event for event in events if _NAMED.get(type(event)) == field and getattr(event, field) == name]
+        if len(others) > 1:
+            yield Problem((field,), f"{printable.value(f'{name}')}, which is taken", "a new name")
+
+
+def problems_of_end(fact: Event, before: Iterable[Event]) -> Iterator[Problem]:
+    """Yield a problem if the fact ends a window or an obstruction that is not there after the events before it."""
+    kind = type(fact)
+    if kind in _ENDS:
+        begins = _ENDS[kind]
+        field = _NAMED[begins]
+        alike = [event for event in before if type(event) in (kind, begins) and _about(event) == _about(fact)]
+        last = [type(event) for event in alike[-1:]]
+        if last != [begins]:
+            name = printable.value(getattr(fact, field))
+            yield Problem((field,), f"{name}, which is not there then", "one that is")
+
+
+def _about(event: Event) -> list[str | None]:
+    return [getattr(event, name, None) for name in ("robot", "scope", "window", "obstruction")]
 
 
 def problems_of_workflow(workflow: Workflow, fleet: Fleet) -> Iterator[Problem]:
