@@ -195,8 +195,8 @@ def write_report(
             it has runs for.
         workers: Processes that compare rows.
         showing: Called with a verb and a unit for each step; returns a context that yields a progress function.
-        sensitivity: The file of `fsar-ledger study run sensitivity`; None: the one in this package. If it is of other
-            runs, a note on the first page says so.
+        sensitivity: The file of `fsar-ledger study run sensitivity`; if it is of other runs, a note on the first page
+            says so. None: the one in this package, if it is of these runs.
         numbers_out: Where the same numbers are written for programs (`Document.reproduction`); None: nowhere.
         kind: The report of the paper's evaluation, or the audit report of this ledger alone; None: as by `kind_of`.
         demanded: The newest record of the ledger, if `ensure_verified` has just checked it; None checks it now.
@@ -216,13 +216,14 @@ def write_report(
         require_another(numbers_out, f"--numbers {numbers_out}", out, f"--out {out}")
     for path in filter(None, (out, numbers_out)):
         require_place(path)
-    effects = packaged(Sensitivity) if sensitivity is None else read(sensitivity, Sensitivity)
+    given = None if sensitivity is None else read(sensitivity, Sensitivity)
     demanded = demanded or _compared(ledger, workers, showing)
     if (kind or kind_of(ledger, demanded)) == "audit":
         _publish(AuditDocument(gather_audit(ledger, demanded)), out, numbers_out)
         return
     heads = {other: _compared(other, workers, showing) for other in (*filter(None, [workflows]), *beside)}
     findings = gather(ledger, demanded, heads, workflows=workflows, reads_every_way=True, showing=showing)
+    effects = given or records.packaged_effects(findings)
     document = Document(findings, packaged(Calibration), effects, robustness(findings))
     _publish(document, out, numbers_out)
 

@@ -219,8 +219,14 @@ def effects_of(findings: Findings, given: Sensitivity | None) -> tuple[dict[str,
     return relations | {"study": pa.Table.from_pylist([study]), "effects_changed": later}, None
 
 
+def packaged_effects(findings: Findings) -> Sensitivity | None:
+    """Return the effects in this package; None if they are of another model or other constants than these runs."""
+    effects = packaged(Sensitivity)
+    return effects if effects_of(findings, effects)[1] is None else None
+
+
 def _not_these(why: str) -> str:
-    return f"The effects that were given are not of these runs: {why}; make them again: {MADE_BY}."
+    return f"The effects of --sensitivity are not of these runs: {why}; make them again: {MADE_BY}."
 
 
 def own_constants(parameters: Mapping[str, str]) -> pa.Table:

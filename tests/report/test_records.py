@@ -256,6 +256,12 @@ def test_runs_under_constants_of_their_own_are_not_those_of_the_fit(findings: Fi
     assert "constants were fitted" not in said(document, "answer")
 
 
+def test_effects_that_nobody_gave_are_left_out_of_a_report_of_other_runs(findings: Findings) -> None:
+    assert laid_out.packaged_effects(of_the_record(findings)) is not None
+    for other in (made(), findings):
+        assert laid_out.packaged_effects(other) is None
+
+
 @pytest.mark.parametrize("text", ["{", "[]", '{"seeds": "x"}', '{"parameters": [{"name": 1}]}'])
 def test_a_broken_record_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "calibration.json").write_text(text)
