@@ -12,10 +12,10 @@ from fsar_ledger.events.configuration import FULL, PAPER_ARCHITECTURES, without
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import Database
-from fsar_ledger.metrics.results import dialled_rows
+from fsar_ledger.metrics.results import DialledRow, dialled_rows
 from fsar_ledger.metrics.verdicts import MARGINS
 from fsar_ledger.report.build import Document
-from fsar_ledger.report.findings import Part, experiments_of
+from fsar_ledger.report.findings import Part, arrow, experiments_of
 from fsar_ledger.report.judge import OPEN, Number
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import simulate_run
@@ -163,6 +163,13 @@ def test_a_curve_has_a_value_where_it_crosses_it_on_the_logarithm_of_the_dial(po
     dialled: dict[str, Any] = {"metric": "coordination_success", "configuration": "without-shared-registry"}
     one = number("ablation", outcome=OPEN, paper=0.46, printed="46", kind="unspecified", distance=None, **dialled)
     assert f"The paper's 46 % (all scenarios) {place}." in said(Document(made([one], encounters=curve(*points))))
+
+
+def test_a_number_without_a_curve_is_not_said_to_be_out_of_its_reach() -> None:
+    dialled: dict[str, Any] = {"metric": "coordination_success", "configuration": "without-shared-registry"}
+    one = number("ablation", outcome=OPEN, paper=0.46, printed="46", kind="unspecified", distance=None, **dialled)
+    for encounters in (arrow((), DialledRow), curve((90.0, 0.34))):
+        assert "The paper's 46 %" not in said(Document(made([one], encounters=encounters)))
 
 
 def cost(architecture: str, robots: int, completed: float) -> dict[str, Any]:
