@@ -17,7 +17,7 @@ from fsar_ledger.ledger import verify as verification
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Note, checkpoint_of
-from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.opening import open_checked, open_ledger
 from fsar_ledger.ledger.rows import canonical, layout, schema, segment
 from fsar_ledger.ledger.rows.grammar import Footer
 from fsar_ledger.ledger.rows.schema import SCHEMA, fingerprint
@@ -99,6 +99,15 @@ def test_a_ledger_that_lacks_its_description_alone_is_damaged_to_whoever_reads_o
     (path / "chain.jsonl").unlink()
     with pytest.raises(NotALedger):
         open_ledger(path)
+
+
+def test_a_ledger_that_lacks_its_segments_is_damaged_to_whoever_reads_or_writes_it(path: Path) -> None:
+    shutil.rmtree(path / "segments")
+    (path / "checkpoint").unlink()
+    for use in (open_checked, lambda ledger: Writer(ledger, ORIGIN)):
+        with pytest.raises(LedgerCorrupted, match=r"segments: it cannot be read \(No such file or directory\); permit"):
+            use(path)
+    assert not verify(path).ok
 
 
 def test_a_segment_that_is_missing_is_named_with_the_words_of_the_system(path: Path) -> None:

@@ -20,7 +20,7 @@ from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
 
-from fsar_ledger.base.errors import WriteFailed
+from fsar_ledger.base.errors import LedgerCorrupted, WriteFailed
 
 TEMPORARY = ".tmp"
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
@@ -102,6 +102,11 @@ def entries(folder: Path) -> list["os.DirEntry[str]"]:
     if len(names) > MAX_NAMES:
         raise OSError(0, f"it holds more than {MAX_NAMES} names", str(folder))
     return sorted(names, key=lambda entry: entry.name)
+
+
+def unreadable(path: Path, error: OSError) -> LedgerCorrupted:
+    """Return the error for a file or folder of a ledger that cannot be read."""
+    return LedgerCorrupted(f"{path}: it cannot be read ({error.strerror or error}); permit reading or restore it")
 
 
 class Uncertain(OSError):
@@ -288,16 +293,23 @@ def write_secret(path: Path, data: bytes) -> None:
     sync_folder(path.parent)
 
 
+def _opened(folder: Path) -> int:
+    """Open this folder of a ledger. Raises: LedgerCorrupted if it cannot be opened."""
+    try:
+        return os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError as error:
+        raise unreadable(folder, error) from error
+
+
 @contextmanager
 def shared_lock(folder: Path) -> Iterator[None]:
     """Hold a lock on this folder that excludes all but shared locks.
 
     Has no effect where the file system has no locks. It ends with its process.
 
-    Raises: WriteFailed if the folder cannot be opened.
+    Raises: LedgerCorrupted if the folder cannot be opened.
     """
-    with refusals(folder, "locking"):
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    handle = _opened(folder)
     try:
         with suppress(OSError):
             fcntl.flock(handle, fcntl.LOCK_SH)
@@ -333,12 +345,11 @@ def lock_if_free(folder: Path) -> Iterator[bool]:
 class FolderLock:
     """A reusable exclusive lock on this folder, which is opened once.
 
-    Use it as a context manager. Raises: WriteFailed if the folder cannot be opened.
+    Use it as a context manager. Raises: LedgerCorrupted if the folder cannot be opened.
     """
 
     def __init__(self, folder: Path) -> None:
-        with refusals(folder, "locking"):
-            self._handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        self._handle = _opened(folder)
 
     def __enter__(self) -> None:
         try:  # `suppress` would take as long as the call

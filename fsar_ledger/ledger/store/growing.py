@@ -8,7 +8,6 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.store import disk
 
 _ZEROS_AT_ONCE = 1 << 16
@@ -52,9 +51,7 @@ def read_whole(path: Path, most: int, start: int = 0, count: int | None = None) 
     except FileNotFoundError:
         return b""
     except OSError as error:
-        raise LedgerCorrupted(
-            f"{path}: it cannot be read ({error.strerror or error}); permit reading or restore it"
-        ) from error
+        raise disk.unreadable(path, error) from error
 
 
 class OpenFile:

@@ -49,9 +49,7 @@ def read_manifest(path: Path) -> bytes:
             "wrote to"
         ) from error
     except OSError as error:
-        raise LedgerCorrupted(
-            f"{path / MANIFEST}: it cannot be read ({error.strerror}); permit reading or restore it"
-        ) from error
+        raise disk.unreadable(path / MANIFEST, error) from error
 
 
 def refuse_version_1(ledger: Path, data: bytes) -> None:

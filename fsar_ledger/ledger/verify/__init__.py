@@ -78,7 +78,7 @@ def verify(
     state = _moment(path)
     report = _look(path, workers, progress, asked or VerifyOptions())
     if not report.ok and _moment(path) != state:  # late reads may be inconsistent with early ones
-        with disk.shared_lock(path / SEGMENTS):
+        with suppress(LedgerCorrupted), disk.shared_lock(path / SEGMENTS):
             report = _look(path, workers, progress, asked or VerifyOptions())
     return report
 
