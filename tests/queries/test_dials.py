@@ -70,3 +70,12 @@ def test_each_summary_has_the_dials_of_its_runs() -> None:
     with from_rows([row for rows in runs for row in rows]) as database:
         found = [row for row in dialled_rows(database) if row.metric == "human_intervention" and row.scenario is None]
     assert [(row.encounter_mean_s, row.mean, row.n) for row in found] == [(30.0, 1 / 3, 3), (60.0, 0.0, 2)]
+
+
+def test_runs_of_a_workflow_and_forks_have_their_own_dials_beside_runs_of_a_scenario() -> None:
+    """The three record the same constants and the same kind, `simulated`."""
+    others = (run(run_id="w", scenario="workflow-door-relay"), run(run_id="f", changes=["drop w"]))
+    with from_rows([row for rows in (made("a"), *others) for row in rows]) as database:
+        found = [row for row in dialled_rows(database) if row.metric == "human_intervention" and row.scenario is None]
+    assert sorted((row.kind, row.n) for row in found) == [("fork", 1), ("simulated", 1), ("workflow", 1)]
+    assert alike(made("a"), *others) == len({row.setting for row in found}) == 3
