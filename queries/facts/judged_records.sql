@@ -7,11 +7,12 @@
 -- Example: fsar-ledger query facts/judged_records LEDGER
 WITH judges (judges, entries) AS (
     VALUES
-    ('i1_local_agent_coherence', 'RobotJoined RobotDeparted>RobotReturned*'),
+    ('i1_local_agent_coherence', 'RobotJoined RobotDeparted* RobotDeparted>RobotReturned*'),
     (
         'i2_local_execution_ownership',
         'ExecutionStarted* RequestAccepted RequestAccepted.decided_by RequestAccepted.executed_by
-        ExecutionStarted.executed_by ExecutionStarted.on_behalf_of AuthorityRevoked>AuthorityGranted'
+        ExecutionStarted.executed_by ExecutionStarted.on_behalf_of AuthorityRevoked* AuthorityRevoked>AuthorityGranted
+        AuthorityRevoked>RequestAdmitted* AuthorityRevoked>RequestIssued*'
     ),
     (
         'i3_jointly_composed_policy a3_no_silent_policy_override',
@@ -26,14 +27,15 @@ WITH judges (judges, entries) AS (
     ('a3_no_silent_policy_override', 'ExecutionHeld*'),
     (
         'i4_outward_recovery',
-        'FailureResolved* ExecutionFailed RecoveryAttempted RecoveryAttemptFailed* RecoveryEscalated
-        AssistanceRequested AssistanceAdmitted AssistanceEnded ReassignmentDecided ReassignmentDecided.helper
-        SupervisorCalled* SupervisorResponded RecoveryBudgetSet>RecoveryEscalated.reason'
+        'FailureResolved* ExecutionFailed RecoveryAttempted RecoveryAttemptFailed* RecoveryEscalated AssistanceRequested
+        AssistanceAdmitted AssistanceEnded ReassignmentDecided ReassignmentDecided.helper SupervisorCalled*
+        SupervisorResponded RecoveryBudgetSet>RecoveryEscalated.reason'
     ),
     (
         'i5_audit_attributability audit_attributability',
         'RobotJoined RobotJoined.supervisor SupervisorLeft SupervisorReturned GapDetected.action_id
-        GapDetected>RequestAccepted RegistryQueried>RequestAccepted RequestIssued>RequestAccepted RequestIssued>RequestClosed'
+        GapDetected>RequestIssued RegistryQueried>RequestIssued RequestIssued>RequestAccepted
+        RequestIssued>RequestUnanswered RequestIssued>RequestClosed'
     ),
     (
         'a1_local_runtime_self_sufficiency',
@@ -60,8 +62,7 @@ WITH judges (judges, entries) AS (
 ),
 
 listed AS (
-    SELECT judges, unnest(regexp_split_to_array(entries, '\s+')) AS entry
-    FROM judges
+    SELECT judges, unnest(regexp_split_to_array(entries, '\s+')) AS entry FROM judges
     UNION ALL
     SELECT judge AS judges, record AS entry FROM metric_records
     UNION ALL -- the principals of a record are judged wherever its type is recorded
@@ -73,8 +74,7 @@ listed AS (
 )
 
 SELECT DISTINCT
-    unnest(string_split(judges, ' ')) AS judge,
-    rtrim(string_split(entry, '>')[-1], '*') AS record,
+    unnest(string_split(judges, ' ')) AS judge, rtrim(string_split(entry, '>')[-1], '*') AS record,
     nullif(if(contains(entry, '>'), string_split(entry, '>')[1], regexp_extract(entry, '^(\w+)\.', 1)), '') AS beside,
     NOT ends_with(entry, '*') AS is_context
 FROM listed

@@ -39,7 +39,8 @@ def of_action(name: str, at: int, **columns: Any) -> Row:
 
 
 STARTS = of_action("ExecutionStarted", 9 * S, robot=DOER, on_behalf_of=ASKER, capability="lift")
-OF_I1, OF_I3 = "i1_local_agent_coherence", "i3_jointly_composed_policy"
+OF_I1, OF_I2, OF_I3 = "i1_local_agent_coherence", "i2_local_execution_ownership", "i3_jointly_composed_policy"
+OF_I5 = "i5_audit_attributability"
 OF_A3, OF_A5 = "a3_no_silent_policy_override", "a5_audit_completeness"
 OF_I4 = "i4_outward_recovery"
 POLICIES = (
@@ -122,17 +123,26 @@ def test_a_request_may_have_been_sent_again_where_requests_have_no_names_on_reco
     assert accused(OF_A5, *anew) == ["robot/B1 for robot/A1: no admission of the request"]
 
 
+@pytest.mark.parametrize("lacks", ["RequestIssued", "RequestUnanswered", "RequestClosed"])
+def test_whom_a_search_came_to_may_stand_on_a_record_of_the_request_that_is_missing(lacks: str) -> None:
+    gap = of_action("GapDetected", S, capability="lift", executed_by=None)
+    asked = of_action("RequestIssued", 2 * S, decided_by=ASKER, capability="lift", executed_by=None)
+    told = of_action(lacks, 3 * S, decided_by=ASKER, capability="lift", result="success")
+    history = (joined(ASKER), joined(DOER), gap, *([] if lacks == "RequestIssued" else [asked]), told)
+    assert accused(OF_I5, *history, lacks=lacks) == []
+    assert accused(OF_I5, *history[:3]) == ["no executor can be recovered"]
+
+
 def test_a_right_may_have_been_granted_again_for_a_request_that_names_no_executor() -> None:
     revoked = event("AuthorityRevoked", S, requested_by=ASKER, reason="human override")
     granted = event("AuthorityGranted", 2 * S, requested_by=ASKER, executed_by=DOER, override="none")
     asked = of_action("RequestIssued", 3 * S, decided_by=ASKER, capability="lift")
     admitted = of_action("RequestAdmitted", 4 * S, decided_by=DOER, outcome="allow")
     unnamed = [{**row, "executed_by": None} for row in (asked, admitted)]
-    of_i2 = "i2_local_execution_ownership"
-    assert accused(of_i2, revoked, granted, asked, admitted) == accused(of_i2, revoked, granted, *unnamed) == []
+    assert accused(OF_I2, revoked, granted, asked, admitted) == accused(OF_I2, revoked, granted, *unnamed) == []
     elsewhere = {**granted, "executed_by": "robot/C1"}
-    assert len(accused(of_i2, revoked, elsewhere, asked, admitted)) == 1
-    assert len(accused(of_i2, revoked, *unnamed)) == 1
+    assert len(accused(OF_I2, revoked, elsewhere, asked, admitted)) == 1
+    assert len(accused(OF_I2, revoked, *unnamed)) == 1
 
 
 def test_a_hold_may_end_with_a_rule_for_a_role_where_nobody_knows_the_robots_role() -> None:
@@ -192,7 +202,8 @@ def test_no_number_of_violations_is_given_where_reviews_are_not_counted() -> Non
         *((name, record) for name in (OF_I3, OF_A3) for record in POLICIES),
         *((OF_I4, record) for record in ("RecoveryAttemptFailed", "SupervisorCalled")),
         (OF_A3, "ExecutionHeld"),
-        (OF_I1, "RobotReturned"),
+        *((OF_I1, record) for record in ("RobotDeparted", "RobotReturned")),
+        *((OF_I2, record) for record in ("AuthorityRevoked", "RequestAdmitted", "RequestIssued")),
     ],
 )
 def test_nothing_holds_where_a_source_does_not_record_what_could_break_it(judge: str, lacks: str) -> None:

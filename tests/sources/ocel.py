@@ -75,8 +75,8 @@ def orders() -> Log:
 
 
 CONTEXT = (
-    *("AssistanceAdmitted", "AssistanceEnded", "AssistanceRequested", "ExecutionFailed", "ExecutionHeld"),
-    "FailureResolved",
+    *("AssistanceAdmitted", "AssistanceEnded", "AssistanceRequested", "AuthorityGranted", "AuthorityRevoked"),
+    *("ExecutionFailed", "ExecutionHeld", "FailureResolved", "RequestUnanswered", "RobotDeparted", "RobotReturned"),
     *("FleetRuleLearned", "PolicyRuleSet", "PolicyConflictEscalated", "ReassignmentDecided", "RecoveryAttempted"),
     *("RecoveryAttemptFailed", "RecoveryEscalated", "RequestDenied", "RequestRelayed", "RolePolicyRuleSet"),
     *("SupervisorCalled", "SupervisorLeft", "SupervisorResponded", "SupervisorReturned"),
