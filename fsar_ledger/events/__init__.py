@@ -22,7 +22,7 @@ from . import (
     trust,
     world,
 )
-from .envelope import Event
+from .envelope import Event as Event
 
 _MODULES = (
     fleet,
@@ -119,12 +119,3 @@ CONCERN_OF: dict[str, str] = _concerns()
 
 A type that describes the run itself has none: every run has it, whatever it observes.
 """
-
-__all__ = [
-    "ALONE",
-    "BESIDE",
-    "CONCERNS",
-    "CONCERN_OF",
-    "EVENT_TYPES",
-    "Event",
-]

@@ -27,23 +27,13 @@ from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.shards import views_of
 
 from . import cuts, relation, slices
-from .connection import Database, Value
+from .connection import Database as Database
+from .connection import Value as Value
 from .library import Query
 from .slices import Slice, SliceQuery, slice_of, slice_query
-from .sql_values import NULLABLE, plain_rows, with_all_columns
+from .sql_values import NULLABLE, with_all_columns
+from .sql_values import plain_rows as plain_rows
 from .verified import is_verified, is_verified_for_runs
-
-__all__ = [
-    "Database",
-    "Value",
-    "connect",
-    "connect_run",
-    "connect_view",
-    "from_rows",
-    "from_table",
-    "plain_rows",
-    "table_of",
-]
 
 _Name = TypeVar("_Name")
 SLICE_EVENTS = 8 << 16

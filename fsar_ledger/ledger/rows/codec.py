@@ -22,16 +22,8 @@ from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.check import first_flaw, run_starts
 from fsar_ledger.ledger.rows.compiled import plain_rows, plain_table
-from fsar_ledger.ledger.rows.runs import (
-    ALLOWED,
-    CAUSE,
-    TIME,
-    LedgerRun,
-    are_allowed,
-    first_unfit,
-    refusal,
-    require_runs,
-)
+from fsar_ledger.ledger.rows.runs import ALLOWED, CAUSE, TIME, are_allowed, first_unfit, refusal, require_runs
+from fsar_ledger.ledger.rows.runs import LedgerRun as LedgerRun
 from fsar_ledger.ledger.rows.schema import (
     ARROW_TYPES,
     CODED_SCHEMA,
@@ -40,23 +32,12 @@ from fsar_ledger.ledger.rows.schema import (
     LAYOUTS,
     MAX_INTEGER,
     PAYLOAD,
-    SCHEMA,
     STORED,
     StoredType,
 )
+from fsar_ledger.ledger.rows.schema import SCHEMA as SCHEMA
 
 from . import Codes, Positions, Texts, Values, array_of, bits, require_exact
-
-__all__ = [
-    "SCHEMA",
-    "LedgerRun",
-    "decode",
-    "encode",
-    "encode_coded",
-    "encode_hashed",
-    "encode_lines",
-    "upcast_rows",
-]
 
 _LAYOUTS = tuple(LAYOUTS.values())
 _CODES = {cls: code for code, cls in enumerate(EVENT_TYPES)}
