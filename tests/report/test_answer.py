@@ -103,16 +103,8 @@ def test_the_sentences_are_plain() -> None:
 @pytest.mark.parametrize(
     ("first", "second", "claim"),
     [
-        (
-            "coordination_success",
-            "human_intervention",
-            ("CFC ≈ FSAR > DHMA", "FSAR ≈ DHMA > CFC"),
-        ),
-        (
-            "reassignment_latency_s",
-            "policy_violations",
-            ("CFC > FSAR > DHMA", "FSAR > CFC > DHMA"),
-        ),
+        ("coordination_success", "human_intervention", ("CFC ≈ FSAR > DHMA", "FSAR ≈ DHMA > CFC")),
+        ("reassignment_latency_s", "policy_violations", ("CFC > FSAR > DHMA", "FSAR > CFC > DHMA")),
     ],
 )
 def test_the_papers_ranking_is_that_of_its_own_means_and_tests(first: str, second: str, claim: tuple[str, str]) -> None:
