@@ -369,7 +369,8 @@ def _reads(values: ReadValues, seq: int, writers: Mapping[tuple[Path, int], Last
     for path, value in values.items():
         path_text, name = _words(path)
         write = writers[path, seq]
-        plain = None if value is ABSENT else msgspec.to_builtins(value, str_keys=True, enc_hook=str)
+        ordered = sorted(value) if isinstance(value, frozenset) else value
+        plain = None if ordered is ABSENT else msgspec.to_builtins(ordered, str_keys=True, enc_hook=str)
         yield Read(path_text, name, plain, value is ABSENT, write.by, write.elements)
 
 

@@ -14,6 +14,7 @@ from fsar_ledger.designs.constants import Constants, Outages
 from fsar_ledger.events import Event
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.events.recovery import AssistanceRequested
 from fsar_ledger.events.request import RequestDenied, RequestIssued
 from fsar_ledger.events.supervision import SupervisorResponded
 from fsar_ledger.events.trust import TrustSet
@@ -62,6 +63,12 @@ def test_a_denial_names_the_window_that_was_open_and_the_event_that_opened_it(de
     opened = denied.events[window.written_by]
     assert isinstance(opened, PolicyWindowOpened)
     assert opened.window == "local/B1/0"
+
+
+def test_the_members_of_a_set_are_told_in_the_same_order_in_every_process() -> None:
+    record = simulated("fsar")
+    made = reasons(record, found(record, AssistanceRequested), 1).made[0]
+    assert read(made, "fleet.teams[1]", "keys").value == ["robot/A1", "robot/B1", "robot/C1", "robot/D1"]
 
 
 def test_a_denial_for_want_of_trust_names_the_entry_and_who_set_it(distrusted: LedgerRun) -> None:
