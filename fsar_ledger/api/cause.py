@@ -159,7 +159,7 @@ def cause(
         QueryFailed: The SELECT fails.
     """
     from fsar_ledger.analysis import causes
-    from fsar_ledger.analysis.avoidability import FUTURES, MOMENTS, curve
+    from fsar_ledger.analysis.avoidability import FUTURES, MOMENTS, Curve, curve
     from fsar_ledger.analysis.causes import outcome_of
     from fsar_ledger.analysis.fork_base import base_of_record, rerun
     from fsar_ledger.analysis.whatif import answers_of, changes_of
@@ -182,23 +182,15 @@ def cause(
             raise UsageError(f"{option('answers', answers)}: found a simulated run, whose world answers everything")
         base = base.with_answers(changes_of(answers_of(answers)))
     report = None if progress is None else lambda done: progress(done, done)
-    result = causes.cause(base, condition, lengths=lengths, progress=report)
+    found = causes.cause(base, condition, lengths=lengths, progress=report)
     futures_drawn = (0 if is_live else FUTURES) if futures is None else futures
-    chances = None if not futures_drawn else curve(base, condition, futures_drawn, MOMENTS, progress)
-    closing = None if chances is None else chances.closing_seq
+    drawn = curve(base, condition, futures_drawn, MOMENTS, progress) if futures_drawn else Curve((), None, None)
+    forks = found.forks + sum(chance.futures + chance.undefined for chance in drawn.chances)
     return CauseResult(
         run=record.run_id,
-        outcome=result.outcome,
-        elements=result.elements,
-        presupposed=result.presupposed,
-        unknown=result.unknown,
-        also_necessary=result.also_necessary,
-        candidates=result.candidates,
-        forks=result.forks + (0 if chances is None else sum(row.futures + row.undefined for row in chances.chances)),
-        chances=() if chances is None else chances.chances,
-        last_open_s=None if chances is None else chances.last_open_s,
-        closing_seq=closing,
-        closing_s=None if closing is None else record.times_us[closing] / 1_000_000,
+        **msgspec.structs.asdict(msgspec.structs.replace(found, forks=forks)),
+        **msgspec.structs.asdict(drawn),
+        closing_s=None if drawn.closing_seq is None else record.times_us[drawn.closing_seq] / 1_000_000,
         provenance=provenance,
     )
 
