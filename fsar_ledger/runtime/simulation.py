@@ -55,12 +55,7 @@ def run_started(spec: RunSpec, constants: Constants) -> RunStarted:
     return RunStarted(
         kind="simulated",
         observes=CONCERNS,
-        architecture=spec.architecture,
-        configuration=spec.configuration,
-        scenario=spec.scenario,
-        seed=spec.seed,
-        fleet_size=spec.fleet_size,
-        run=spec.run,
+        **msgspec.structs.asdict(spec),
         model_version=MODEL_VERSION,
         parameters=constants_text(constants),
     )

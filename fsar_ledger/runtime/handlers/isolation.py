@@ -49,7 +49,7 @@ from fsar_ledger.projections.task import given_up_us
 from .attribution import parties
 from .authority import release
 from .commands import BeginStep, ExpireTask, Handlers, Scheduled
-from .public import RobotReport, carried_out, outdated
+from .public import RobotReport, carried_out, made_from, outdated
 from .recovery import escalated
 from .supervision import supervisor_for
 from .task import has_not_begun, is_own_step
@@ -166,13 +166,7 @@ def hand_over(state: State, command: HandOver) -> tuple[Event, ...]:
     unread = next((result for result in command.results if _read(result) is None), None)
     if refused is None and unread is not None:
         refused = f"result {unread!r}, expected a step and success or failure, as t1/2 success"
-    ended = IsolationEnded(
-        robot=command.robot,
-        isolated_run=command.isolated_run,
-        isolated_seq=command.isolated_seq,
-        isolated_root=command.isolated_root,
-        since_us=command.since_us,
-    )
+    ended = made_from(IsolationEnded, command)
     return carried_out(command, command.isolated_run, refused, command.robot, ended, *_judged(state, command))
 
 
@@ -209,16 +203,12 @@ def _judged(state: State, command: HandOver) -> Iterator[Event]:
         elif action is not None and action.stage not in ("running", "paused") and not has_not_begun(action):
             reason = "the fleet recovers the step"
         else:
-            yield IsolatedResultAccepted(
-                subject=subject, robot=command.robot, result=result, isolated_run=command.isolated_run
-            )
+            yield made_from(IsolatedResultAccepted, command, subject=subject, result=result)
             if result == "success":
                 done[task_id] = done.get(task_id, 0) + 1
                 yield from _completed(state, subject, action)
             continue
-        yield IsolatedResultOvertaken(
-            subject=subject, robot=command.robot, result=result, isolated_run=command.isolated_run, reason=reason
-        )
+        yield made_from(IsolatedResultOvertaken, command, subject=subject, result=result, reason=reason)
 
 
 def _over(state: State, task_id: str) -> str:

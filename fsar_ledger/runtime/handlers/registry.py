@@ -59,21 +59,14 @@ def queried(
     relay: Robot | None = None,
 ) -> RegistryQueried:
     """Return the record of the registry's answer; the executor is the robot that the answer leads to, if any."""
-    return RegistryQueried(
+    found = answer.candidates[0] if answer.candidates else None
+    return made_from(
+        RegistryQueried,
+        answer,
         subject=Subject(task_id, action_id),
-        principals=recorded_by(
-            state,
-            query.requester,
-            requested_by=query.requester,
-            executed_by=answer.candidates[0] if answer.candidates else None,
-        ),
+        principals=recorded_by(state, query.requester, requested_by=query.requester, executed_by=found),
         capability=query.capability,
-        candidates=answer.candidates,
         relay=relay,
-        rejected=answer.rejected,
-        rejected_by=answer.rejected_by,
-        domain=answer.domain,
-        as_of_us=answer.as_of_us,
     )
 
 
@@ -238,9 +231,7 @@ def report_availability(state: State, command: ReportAvailability) -> tuple[Even
         wrong = f"{robot} advertises nothing, expected something whose availability can change"
     if wrong is None and command.reason == NO_ANSWER:
         wrong = f'"{NO_ANSWER}" is what others say of a silent robot, expected a reason of its own'
-    event = AvailabilityChanged(
-        robot=robot, capability=capability, availability=command.availability, reason=command.reason
-    )
+    event = made_from(AvailabilityChanged, command)
     return carried_out(command, capability or robot, wrong, command.issued_by, event)
 
 
@@ -261,10 +252,7 @@ def deprecate_capability(state: State, command: DeprecateCapability) -> tuple[Ev
             wrong = f"version {command.version} is deprecated already"
         elif command.successor is not None:
             wrong = _not_newer(command.successor, command.version)
-    event = CapabilityDeprecated(
-        robot=robot, capability=capability, version=command.version, successor=command.successor
-    )
-    return carried_out(command, capability, wrong, command.issued_by, event)
+    return carried_out(command, capability, wrong, command.issued_by, made_from(CapabilityDeprecated, command))
 
 
 @HANDLERS.decide(UpgradeCapability)

@@ -39,6 +39,7 @@ from fsar_ledger.runtime.handlers.public import (
     RobotReport,
     absent_robot,
     carried_out,
+    made_from,
     outdated,
     rejected,
     unknown_supervisor,
@@ -288,9 +289,7 @@ def report_window(state: State, command: ReportWindow) -> tuple[Event, ...]:
     change: Event = PolicyWindowClosed(command.robot, command.scope, command.window)
     if command.outcome is not None:
         refused = refused or unknown_word("outcome", command.outcome, ("review", "deny"))
-        change = PolicyWindowOpened(
-            robot=command.robot, scope=command.scope, window=command.window, outcome=command.outcome
-        )
+        change = made_from(PolicyWindowOpened, command)
     return carried_out(command, command.robot, refused, command.robot, change)
 
 
