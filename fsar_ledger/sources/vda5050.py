@@ -70,8 +70,8 @@ class Vehicle(msgspec.Struct):
     """The state of a vehicle by its messages. `ended` are orders whose end is recorded, `order` is the last one.
 
     `newest` is the number and time of the newest message by kind; `is_down` that its connection broke; `parts` the
-    actions that orders have, `instant` the types of instant ones, `cancels` the order that each cancelOrder ends;
-    `orders` the order under which an action was last reported; `listed` the list in which the newest state has it;
+    newest order of each action, `instant` the types of instant ones, `cancels` the order that each cancelOrder ends;
+    `orders` the order under which an action last changed; `listed` the list in which the newest state has it;
     `unseen` the order of each that the vehicle no longer has, and that was not over.
     """
 
@@ -79,7 +79,7 @@ class Vehicle(msgspec.Struct):
     asked: dict[str, None] = {}
     accepted: dict[str, None] = {}
     refused: dict[str, None] = {}
-    parts: dict[str, None] = {}
+    parts: dict[str, str] = {}
     instant: dict[str, str] = {}
     cancels: dict[str, str] = {}
     statuses: dict[str, str] = {}
@@ -258,7 +258,7 @@ def _ordered(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iter
     """Yield the arrival of a task and the request to its vehicle; an update of a known order adds nothing."""
     order = _order(message)
     for part in (*_listed(message, "nodes"), *_listed(message, "edges")):
-        vehicle.parts |= {str(action.get("actionId")): None for action in _listed(part, "actions")}
+        vehicle.parts |= {str(action.get("actionId")): order for action in _listed(part, "actions")}
     if not order or order in vehicle.asked:
         return
     vehicle.asked[order] = None
@@ -287,8 +287,7 @@ def _changed(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iter
         vehicle.cancels[str(state.get("actionId"))] for state in cancels if state.get("actionStatus") != "FAILED"
     }
     for state in listed:
-        if vehicle.statuses.get(str(state.get("actionId"))) != state.get("actionStatus"):
-            yield from _acted(vehicle, robot, order, state, order in given_up)
+        yield from _acted(vehicle, robot, order, state, order in given_up)
     yield from _cancelled(vehicle, cancels)
     is_cancelling = any(state.get("actionStatus") not in OVER for state in cancels)
     if has_arrived and not is_cancelling and order in vehicle.asked and order not in vehicle.ended:
@@ -358,11 +357,12 @@ def _acted(vehicle: Vehicle, robot: Robot, order: str, state: Mapping[str, Any],
     """Yield the events of one action since the last state. The rest of a cancelled order has not failed."""
     action, status = str(state.get("actionId")), str(state.get("actionStatus"))
     previous = vehicle.statuses.get(action)
-    if previous in OVER and status not in OVER and vehicle.orders.get(action) != order:
-        previous = None  # another order has an action of the same name
-    vehicle.orders[action] = order
+    is_of_another = vehicle.orders.get(action) != order
+    if previous in OVER and is_of_another and (status not in OVER or vehicle.parts.get(action) == order):
+        previous = None  # this order has an action of the same name
     if status == previous or previous == "FINISHED":
         return
+    vehicle.orders[action] = order
     vehicle.statuses[action] = status
     subject = Subject(order, action)
     parties = Parties(requested_by=None, executed_by=robot, supervised_by=None)
