@@ -11,7 +11,7 @@ import sys
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from copy import deepcopy
 from hashlib import sha256
 from importlib.metadata import EntryPoint, entry_points
@@ -242,12 +242,10 @@ def _compressed(log: Input) -> UsageError | None:
 
 
 def _can_read(adapter: Adapter, log: Input) -> bool:
-    try:
+    first = None
+    with suppress(UsageError):
         first = next(iter(deepcopy(adapter).read([log])), None)
-    except UsageError:
-        return False
-    finally:
-        log.file.seek(0)
+    log.file.seek(0)
     return first is not None and first.kind != UNREADABLE
 
 
@@ -279,15 +277,10 @@ def digest_of(inputs: Sequence[Input]) -> str | None:
         return None
     digest = sha256()
     for log in inputs:
-        for block in _blocks(log):
+        while block := log.file.read(1 << 20):
             digest.update(block)
         log.file.seek(0)
     return digest.hexdigest()
-
-
-def _blocks(log: Input) -> Iterator[bytes]:
-    while block := log.file.read(1 << 20):
-        yield block
 
 
 def no_record(inputs: Sequence[Input]) -> UsageError:
@@ -383,12 +376,18 @@ def require_format(
         )
 
 
-def utc_us(text: object) -> int | None:
-    """Return a time of ISO 8601 in microseconds since 1970, None for anything else; without a zone it is UTC."""
-    if not isinstance(text, str):
+def utc_us(time: object) -> int | None:
+    """Return microseconds since 1970 from ISO 8601 (UTC without a zone), or from a number; None for anything else.
+
+    The size of a number shows its unit: in 2001 to 2286 s, ms, us and ns since 1970 have 10, 13, 16 and 19 digits.
+    """
+    if isinstance(time, int | float):
+        candidates = (time * 10**6, time * 1000, time, time // 1000)
+        return next((round(us) for us in candidates if 10**15 <= us < 10**16), None)
+    if not isinstance(time, str):
         return None
     try:
-        return utc.microseconds(utc.parsed(text))
+        return utc.microseconds(utc.parsed(time))
     except ValueError:
         return None
 

@@ -1,8 +1,8 @@
 """Open-RMF: task states, task logs, fleet states and requests, as its API server gets them.
 
 One message of rmf_api_msgs a line: `{"type": "task_state_update", "data": {...}}`, or the bare object, which is known
-by its fields. Beside `type` a line may have `received` (ISO 8601), the time at which the recorder got it. The schemas
-are those of https://github.com/open-rmf/rmf_api_msgs, version 0.3; no message names a version.
+by its fields. Beside `type` a line may have `received` (ISO 8601 or a number), the time at which the recorder got it.
+The schemas are those of https://github.com/open-rmf/rmf_api_msgs, version 0.3; no message names a version.
 
 A task state is sent from time to time, so what follows from it is what has changed since the last one of that task. A
 state that comes after the end of its task is only an observation; one of another task with the same name, as after a

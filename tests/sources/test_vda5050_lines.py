@@ -45,3 +45,20 @@ def test_vehicles_that_nobody_names_are_not_one_robot(tmp_path: Path) -> None:
     assert (told.robots, [one.count for one in told.not_understood]) == ((), [1])
     named = imported(tmp_path / "named", filed(tmp_path, [line | {"topic": "uagv/v2/KIT/7/order"}]))
     assert named.robots == ("robot/KIT.7",)
+
+
+@pytest.mark.parametrize("digits", [10, 13, 16, 19])
+def test_a_recorder_may_count_when_it_got_a_message_in_any_unit_since_1970(tmp_path: Path, digits: int) -> None:
+    times = [1_772_359_208 * 10 ** (digits - 10), 1_772_359_209 * 10 ** (digits - 10)]
+    lines = [state(at, "0001", "a") | {"received": received} for at, received in enumerate(times)]
+    imported(tmp_path / "ledger", filed(tmp_path, lines))
+    begun, *_, closed = rows(tmp_path / "ledger")
+    assert (begun["epoch"], closed["time_us"]) == ("2026-03-01T10:00:08Z", 1_000_000)
+
+
+@pytest.mark.parametrize("received", [True, 12.5, -1, 10**400, 1e300])
+def test_a_number_that_is_no_time_since_1970_leaves_the_time_of_the_vehicle(tmp_path: Path, received: float) -> None:
+    line = msgspec.json.encode(state(1, "0001", "a") | {"received": 0})
+    text = line.replace(b'"received":0', b'"received":' + f"{received}".lower().encode())
+    imported(tmp_path / "ledger", filed(tmp_path, text))
+    assert rows(tmp_path / "ledger")[0]["epoch"] == vda.stamp(1)
