@@ -180,7 +180,8 @@ def opened(logs: Sequence[str | os.PathLike[str]]) -> Iterator[list[Input]]:
             if is_file and (file_id := os.fstat(file.fileno())[1:3]) in known:
                 raise UsageError(f"{value(log)}: found the file {value(known[file_id])} again, expected each file once")
             known |= {file_id: log} if is_file else {}
-            inputs.append(Input("stdin" if log == STDIN else path.stem, path if is_file else None, file))
+            name = "pipe" if path.parent.name == "fd" else path.stem  # a shell numbers its pipes: /dev/fd/63
+            inputs.append(Input("stdin" if log == STDIN else name, path if is_file else None, file))
         yield inputs
 
 

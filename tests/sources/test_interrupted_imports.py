@@ -19,7 +19,7 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.sources import importing
-from fsar_ledger.sources.adapter import LOOKED_AT, Input, adapter_of
+from fsar_ledger.sources.adapter import LOOKED_AT, Input, adapter_of, opened
 from fsar_ledger.sources.importing import import_files
 from fsar_ledger.sources.vda5050 import Vda5050
 from tests.cli.conftest import Call
@@ -93,6 +93,12 @@ def test_a_pipe_is_read_as_standard_input_is(tmp_path: Path) -> None:
     imported(tmp_path / "ledger", fifo, run="fifo")
     writer.join()
     assert record_numbers(tmp_path / "ledger", "fifo") == list(range(1, 25))
+
+
+def test_a_pipe_of_the_shell_gives_a_run_no_number_for_a_name() -> None:
+    for_reading, for_writing = os.pipe()
+    with open(for_reading, "rb"), open(for_writing, "wb"), opened([f"/dev/fd/{for_reading}"]) as (pipe,):
+        assert (pipe.name, pipe.path) == ("pipe", None)
 
 
 def test_two_imports_of_two_runs_at_once_are_both_whole(tmp_path: Path) -> None:
