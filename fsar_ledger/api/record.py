@@ -14,7 +14,8 @@ from fsar_ledger.base.printable import SafeText, counted
 from fsar_ledger.base.progress import Progress
 
 from .answers import Answer, Screen, head_json
-from .key import origin_of, signer_of
+from .key import origin_of as named_origin
+from .key import signer_of
 from .names import Names, Place, names_of
 from .verbs import AdoptOption, Gives, KeyOption, OriginOption, Shows, argument, declare, switch, verb
 
@@ -69,11 +70,11 @@ def record(
     return Recorder(
         Path(out),
         fleet=fleet,
-        observes=names_of(observes) or (),
+        observes=[name.strip() for text in names_of(observes) or () for name in text.split(",")],
         run=run,
         source=source,
         epoch=epoch,
-        origin=origin_of(origin),
+        origin=named_origin(origin),
         signer=signer_of(key),
         names=None if private_names is None else PrivateNames(Path(private_names)),
     )
@@ -121,7 +122,7 @@ def record_lines(
     source: str = declare("NAME", "The name of the recorder.", value="recorder"),
     observes: Names = declare(
         "NAME",
-        "What is recorded completely: a concern, an event type, or TYPE.FIELD; may be repeated.",
+        "Concerns, event types or TYPE.FIELD that are recorded completely, as task,ExecutionStarted; may be repeated.",
         "nothing: only observations (`Observed`) are taken",
     ),
     fleet: Place | None = declare("FILE", "A .toml file that names the robots: [robots], NAME = ROLE."),
@@ -268,7 +269,7 @@ def import_records(
             fleet=None if fleet is None else named_robots(Path(fleet)),
             mapping_sha256=mapping_sha256,
             keeps_bodies=bodies,
-            origin=origin_of(origin),
+            origin=named_origin(origin),
             signer=signer_of(key),
             progress=progress,
         )
@@ -352,15 +353,15 @@ def shards(
     from fsar_ledger.ledger.store.append import Writer
     from fsar_ledger.ledger.store.shards import newest, record_of_head
     from fsar_ledger.metrics.verified import models_of
-    from fsar_ledger.sources.recorder import kept_origin
+    from fsar_ledger.sources.recorder import kept_origin, origin_of
 
-    path, signer, kept = Path(log), signer_of(key), kept_origin(Path(log))
-    heads = [] if kept is None else _heads(open_checked(path))
+    path, signer = Path(log), signer_of(key)
+    heads = [] if kept_origin(path) is None else _heads(open_checked(path))
     folders = [Path(shard) for shard in ledgers or ()] or [shard.place(path) for shard in newest(heads)]
     if not folders:
         raise UsageError(f"{path}: found no shard, expected at least one LEDGER; name the ledgers to record")
     current = present(path, heads, folders)
-    name = origin_of(origin) or kept or (signer.verifier.name if signer is not None else FEDERATION)
+    name = origin_of(path, named_origin(origin), signer, FEDERATION)
     if name in current.views:
         raise UsageError(f"{option('origin', name)}: found the origin of a shard, expected an origin of the log's own")
     with Writer(path, name, signer, adopts=adopt) as writer:

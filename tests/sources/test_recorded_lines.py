@@ -57,6 +57,13 @@ def test_lines_that_are_wrong_are_refused_by_number_and_the_others_are_recorded(
     assert tasks(tmp_path / "ledger") == ["a", "b"]
 
 
+def test_what_is_recorded_may_be_listed_with_commas(tmp_path: Path) -> None:
+    """As in `log --about requests,policy`."""
+    lines = LINE % (b"a", 1) + b'{"type": "TaskCompleted", "task_id": "a"}\n'
+    told(tmp_path / "ledger", lines, "--observes", "TaskArrived, TaskCompleted").good()
+    assert tasks(tmp_path / "ledger") == ["a"]
+
+
 def test_each_line_is_on_disk_before_the_next_is_read_and_ctrl_c_is_quiet(tmp_path: Path) -> None:
     command = [*COMMAND, "record", str(tmp_path / "ledger"), "--run", "night", "--observes", "TaskArrived"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
