@@ -49,21 +49,21 @@ LATEST_YEAR = 9000
 TOLD = "times count from 1970-01-01T00:00:00Z in runs whose first event names no epoch"
 
 
-def epoch_us(run: str, epoch: str | None) -> int:
+def epoch_us(run: str, epoch: str | None, earliest: datetime = utc.EPOCH) -> int:
     """Return run time 0 in microseconds since 1970, from the epoch that event 0 of a run names; 0 if it names none.
 
-    Raises: UsageError if that is not a time in ISO 8601 between 1970 and `LATEST_YEAR`.
+    Raises: UsageError if that is not a time in ISO 8601 from `earliest` to `LATEST_YEAR`; most formats count from 1970.
     """
     if epoch is None:
         return 0
     try:
         time = utc.parsed(epoch)
-        if not utc.EPOCH <= time <= datetime(LATEST_YEAR, 1, 1, tzinfo=UTC):
+        if not earliest <= time <= datetime(LATEST_YEAR, 1, 1, tzinfo=UTC):
             raise ValueError("too early or too late")
     except ValueError as error:
         raise UsageError(
             f"run {printable.value(run)}: found the epoch {printable.value(epoch)}, expected a time in ISO 8601 "
-            f"between 1970 and {LATEST_YEAR}; name another run"
+            f"between {earliest.year} and {LATEST_YEAR}; name another run"
         ) from error
     return utc.microseconds(time)
 

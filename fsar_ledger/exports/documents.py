@@ -14,6 +14,7 @@ without an execution on record, such as one that was denied, is `request_tool`, 
 
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
+from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -29,6 +30,8 @@ from fsar_ledger.ledger.rows.codec import LedgerRun
 
 from . import NAMING, TOLD, ExportedFile, elements, epoch_us, named_in, rfc3339
 
+FIRST_DAY = datetime.min.replace(tzinfo=UTC)
+"""A log of OCEL has times as texts, of any year."""
 RUN = [{"name": "run_id", "type": "string"}]
 """The attributes of every type of object."""
 INTERNAL = 1
@@ -57,7 +60,7 @@ class _Ocel:
     def events_of(self, run: LedgerRun, objects: dict[str, str]) -> Iterator[dict[str, Any]]:
         """Yield the events of a run that name objects, and put these into `objects`, by label with their kinds."""
         number = self._numbers.get(run.run_id, 0)
-        start_us = epoch_us(run.run_id, getattr(run.events[0], "epoch", None))
+        start_us = epoch_us(run.run_id, getattr(run.events[0], "epoch", None), FIRST_DAY)
         for seq, (event, time_us) in enumerate(zip(run.events, run.times_us, strict=True)):
             columns = flat(event)
             named = named_in(columns)

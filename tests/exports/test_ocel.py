@@ -13,6 +13,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import flat, with_columns
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.source import Observed
+from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.exports import documents, named_in
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from tests.exports.conftest import Asked
@@ -103,6 +104,13 @@ def test_events_have_the_time_of_day_of_a_run_that_has_one(at_noon: LedgerRun, t
     events = json.loads((tmp_path / "noon.json").read_text())["events"]
     assert len(events) == written.events
     assert events[0]["time"] == "2026-03-01T12:00:00.000000Z"
+
+
+def test_a_run_from_before_1970_is_a_log_like_any_other(tmp_path: Path) -> None:
+    events: list[Event] = [RunStarted(kind="foreign", observes=(), epoch="1955-03-01T12:00:00Z"), TaskCompleted("t")]
+    documents.write_ocel(tmp_path / "log.json", [LedgerRun("hall", [0, 5_000_000], [None] * 2, events)], {})
+    (time,) = pm4py.read_ocel2_json(str(tmp_path / "log.json")).events["ocel:timestamp"]
+    assert time.isoformat() == "1955-03-01T12:00:05+00:00"
 
 
 def test_observations_that_are_not_in_it_are_counted(tmp_path: Path) -> None:
