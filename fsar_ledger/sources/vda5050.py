@@ -1,9 +1,9 @@
 """VDA 5050 2.1 and 3.0: orders, states, instant actions and connections, as a broker recorded them.
 
 One message a line: the message itself, or an object with `topic`, `payload` (the message, or its text) and perhaps
-`received` (ISO 8601 or a number), when the recorder got it. A state is sent from time to time, so what follows from it
-is what has changed since the last one of the same vehicle; an action that began and ended between two has no start on
-record.
+`received` (ISO 8601 or a number), when the recorder got it, which `mosquitto_sub -F %J` calls `tst`. A state is sent
+from time to time, so what follows from it is what has changed since the last one of the same vehicle; an action that
+began and ended between two has no start on record.
 
 | message | becomes |
 |---|---|
@@ -147,7 +147,7 @@ class Vda5050:
             if isinstance(error.get("errorType"), str):
                 name = f"error/{error['errorType']}"
                 values[f"{name}/{number}" if name in values else name] = json_text(error)
-        arrived = line.get("received", line.get("arrival", line.get("time")))
+        arrived = line.get("received", line.get("arrival", line.get("time", line.get("tst"))))
         return Record(
             kind if kind != "state" else f"state/{values.get('operatingMode')}",
             raw,

@@ -47,6 +47,17 @@ def test_vehicles_that_nobody_names_are_not_one_robot(tmp_path: Path) -> None:
     assert named.robots == ("robot/KIT.7",)
 
 
+def test_a_recording_of_mosquitto_sub_has_the_times_at_which_it_got_each_message(tmp_path: Path) -> None:
+    """The clock of a vehicle is five minutes late: nothing is dated by it."""
+    lines = [
+        {"tst": "2026-03-01T11:05:00.250000+0100", "topic": line["topic"], "qos": 0, "retain": False, "payloadlen": 9}
+        | {"payload": line["payload"]}
+        for line in (state(0, "0001", "a"), state(1, "0001", "a"))
+    ]
+    made = imported(tmp_path / "ledger", filed(tmp_path, lines))
+    assert (rows(tmp_path / "ledger")[0]["epoch"], made.late) == ("2026-03-01T10:05:00.250000Z", 0)
+
+
 @pytest.mark.parametrize("digits", [10, 13, 16, 19])
 def test_a_recorder_may_count_when_it_got_a_message_in_any_unit_since_1970(tmp_path: Path, digits: int) -> None:
     times = [1_772_359_208 * 10 ** (digits - 10), 1_772_359_209 * 10 ** (digits - 10)]
