@@ -28,7 +28,7 @@ from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, Exe
 from fsar_ledger.events.request import RequestAccepted, RequestClosed, RequestIssued
 
 from .adapter import UNREADABLE, Derived, Input, Record
-from .otlp_spans import Key, Span, records, texts
+from .otlp_spans import MAX_DOCUMENT, Key, Span, records, texts
 
 KEPT_SPANS = 1 << 16
 """Spans whose owner, or parent, is remembered: a child that comes later than that has an unknown parent."""
@@ -211,5 +211,6 @@ def _read(log: Input) -> Iterator[Record]:
 def _not_otlp(log: Input, first: Record) -> UsageError:
     return UsageError(
         f"{value(str(log.path or log.name))}: found {value(first.raw[:60].decode(errors='backslashreplace'))}, "
-        "expected lines of OTLP JSON with resourceSpans; write them with the collector's file exporter (format: json)"
+        f"expected lines of OTLP JSON with resourceSpans, or one document of at most {MAX_DOCUMENT >> 20} MiB; write "
+        "them with the collector's file exporter (format: json)"
     )

@@ -70,7 +70,7 @@ def texts(one: Input) -> Iterator[bytes]:
         if size > MAX_DOCUMENT or _is_whole(line):
             break
     else:
-        document = b"\n".join(buffered)
+        document = b"".join(buffered)  # JSON has no use for the ends of lines, and one that is too long came in parts
         if len(buffered) > 1 and _is_whole(document):
             buffered = [document]
     yield from buffered

@@ -5,13 +5,14 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from fsar_ledger.api.ledger import Ledger
 from fsar_ledger.api.record import ImportResult, import_records
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.sources import otlp
-from fsar_ledger.sources.adapter import Input, Record
+from fsar_ledger.sources.adapter import MAX_LINE, Input, Record
 from tests.quick import few
 from tests.recycled import asked
 from tests.sources.importing import is_good
@@ -99,6 +100,15 @@ def test_names_of_protobuf_and_one_document_of_many_lines_say_the_same(imported:
     assert said(imported(snake(list(honest_day(["1"]))), "snake")) == expected
     whole = {"resourceSpans": [one for line in honest_day(["1"]) for one in line["resourceSpans"]]}
     assert said(imported(json.dumps(whole, indent=2).encode(), "whole")) == expected
+
+
+def test_a_document_of_which_a_line_is_longer_than_lines_may_be_is_read_whole() -> None:
+    """As an export of a run with many events is."""
+    first, *others = [one for line in honest_day(["1"]) for one in line["resourceSpans"]]
+    first["scopeSpans"][0]["spans"][0]["attributes"] += attributes({"said": "x" * (MAX_LINE + 1)})
+    document = b'{"resourceSpans":[\n' + b",\n".join(map(msgspec.json.encode, [first, *others])) + b"]}\n"
+    found = list(otlp.Otlp().read([Input("day", None, BytesIO(document))]))
+    assert [record.kind for record in found] == ["execute_tool", "chat", "execute_tool", "invoke_agent", "invoke_agent"]
 
 
 def test_a_call_of_a_remote_agent_and_what_that_agent_tells_are_one_request(imported: Import) -> None:
