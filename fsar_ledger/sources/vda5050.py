@@ -72,8 +72,8 @@ class Vehicle(msgspec.Struct):
 
     `newest` is the number and time of the newest message by kind; `is_down` that its connection broke; `parts` the
     newest order of each action, `instant` the types of instant ones, `cancels` the order that each cancelOrder ends;
-    `orders` the order under which an action last changed; `listed` the list in which the newest state has it;
-    `unseen` the order of each that the vehicle no longer has, and that was not over.
+    `orders` the order under which an action began; `listed` the list in which the newest state has it; `unseen` the
+    order of each that the vehicle no longer has, and that was not over.
     """
 
     newest: dict[str, tuple[int, int]] = {}
@@ -309,7 +309,7 @@ def _vanished(vehicle: Vehicle, robot: Robot, order: str, message: Mapping[str, 
         if is_of_order:
             vehicle.unseen[action] = action_order
         if vehicle.statuses.pop(action) in ("RUNNING", "PAUSED", "RETRIABLE"):
-            yield ExecutionWithdrawn(Subject(action_order, action), robot)
+            yield ExecutionWithdrawn(Subject(action_order or action, action), robot)
     vehicle.listed |= listed
     for action in listed:
         if vehicle.unseen.get(action) == order:
@@ -363,9 +363,9 @@ def _acted(vehicle: Vehicle, robot: Robot, order: str, state: Mapping[str, Any],
         previous = None  # this order has an action of the same name
     if status == previous or previous == "FINISHED":
         return
-    vehicle.orders[action] = order
-    vehicle.statuses[action] = status
-    subject = Subject(order, action)
+    began_under = order if previous is None else vehicle.orders[action]
+    vehicle.statuses[action], vehicle.orders[action] = status, began_under
+    subject = Subject(began_under or action, action)  # without an order an action is a task of its own
     parties = Parties(requested_by=None, executed_by=robot, supervised_by=None)
     if status == "RUNNING":
         if previous in ("PAUSED", "RETRIABLE"):

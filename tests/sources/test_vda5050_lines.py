@@ -73,3 +73,20 @@ def test_a_number_that_is_no_time_since_1970_leaves_the_time_of_the_vehicle(tmp_
     text = line.replace(b'"received":0', b'"received":' + f"{received}".lower().encode())
     imported(tmp_path / "ledger", filed(tmp_path, text))
     assert rows(tmp_path / "ledger")[0]["epoch"] == vda.stamp(1)
+
+
+def test_what_vehicles_do_without_an_order_is_no_task_that_they_share(tmp_path: Path) -> None:
+    """One is still charging when its next order comes, and the other is switched off meanwhile."""
+    charging = {"actionType": "startCharging", "actionStatus": "RUNNING"}
+    lines = [state(at, serial, "", nodes=0) for at, serial in enumerate(("0001", "0002"))]
+    lines += [state(2, "0001", "o"), state(3, "0002", "", nodes=0)]
+    for line, name, status in zip(lines[:3], ("i", "j", "i"), ("RUNNING", "RUNNING", "FINISHED"), strict=True):
+        line["payload"]["actionStates"] = [charging | {"actionId": name, "actionStatus": status}]
+    imported(tmp_path / "ledger", filed(tmp_path, lines))
+    told = [row for row in rows(tmp_path / "ledger") if row["type"].startswith("Execution")]
+    assert [(row["type"], row["task_id"], row["action_id"]) for row in told] == [
+        ("ExecutionStarted.v1", "i", "i"),
+        ("ExecutionStarted.v1", "j", "j"),
+        ("ExecutionFinished.v1", "i", "i"),
+        ("ExecutionWithdrawn.v1", "j", "j"),
+    ]
