@@ -2,22 +2,10 @@
 
 One message a line: the message itself, or an object with `topic`, `payload` (the message, or its text) and perhaps
 `received` (ISO 8601 or a number), when the recorder got it, which `mosquitto_sub -F %J` calls `tst`. A state is sent
-from time to time, so what follows from it is what has changed since the last one of the same vehicle; an action that
-began and ended between two has no start on record.
+from time to time, so what follows from it is what has changed since the last one of the same vehicle.
 
-| message | becomes |
-|---|---|
-| an order that begins | `TaskArrived`, `RequestIssued` by the coordinator |
-| the first state with that order | `RequestAccepted`, decided by the vehicle |
-| an error that names the order before that | `RequestDenied`, decided by the vehicle |
-| an action that runs, pauses, runs on, ends | `ExecutionStarted`, `Paused`, `Resumed`, `Finished` |
-| one that fails: for good, or until it is tried again | `ExecutionFailed`, and `Withdrawn` if it is for good |
-| one that had begun and fails as its order is cancelled | `ExecutionWithdrawn`: it was called off |
-| one that had begun and is no longer listed, as after a restart | `ExecutionWithdrawn`: how it ended was not seen |
-| an order whose nodes, edges and actions are all done | `TaskCompleted` |
-| an order that was cancelled, or of which an action failed before it was over | `TaskAbandoned` |
-| a connection that breaks, comes back | `LinkWentDown`, `LinkCameUp` |
-| anything else | an observation |
+`docs/sources/vda5050.md` says what becomes what. A vehicle clears its order by a cancelOrder, a startHibernation, or by
+going into a mode in which it takes no orders: it reports no nodes, and FAILED actions, of what it has not done.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -60,8 +48,10 @@ LOST = ("CONNECTIONBROKEN", "CONNECTION_BROKEN")
 """The spellings of 2.1 and 3.0."""
 OF_ORDER, BESIDE = "actionStates", ("instantActionStates", "zoneActionStates")
 """The lists of action states: of an order (before 3.0 also of instant actions), and of others."""
-CANCEL = "cancelOrder"
-"""The type of the instant action that ends an order before it is done."""
+CANCELS = ("cancelOrder", "startHibernation")
+"""The types of instant actions that end an order before it is done."""
+CLEARS = ("MANUAL", "SERVICE", "STARTUP", "TEACHIN", "TEACH_IN")
+"""The operating modes in which a vehicle has no order: it clears the one that it has; the last is that of 3.0."""
 OVER = frozenset(("FINISHED", "FAILED"))
 
 SHOWN = ("orderId", "orderUpdateId", "lastNodeId", "operatingMode", "connectionState", "headerId", "paused", "driving")
@@ -70,17 +60,19 @@ SHOWN = ("orderId", "orderUpdateId", "lastNodeId", "operatingMode", "connectionS
 class Vehicle(msgspec.Struct):
     """The state of a vehicle by its messages. `ended` are orders whose end is recorded, `order` is the last one.
 
-    `newest` is the number and time of the newest message by kind; `is_down` that its connection broke; `parts` the
-    newest order of each action, `instant` the types of instant ones, `cancels` the order that each cancelOrder ends;
-    `orders` the order under which an action began; `listed` the list in which the newest state has it; `unseen` the
-    order of each that the vehicle no longer has, and that was not over.
+    `newest` is the number and time of the newest message by kind; `is_down` that its connection broke; `had_arrived`
+    that its last state had no nodes left; `asked` the newest update of each order; `parts` the newest order of each
+    action, `horizon` those that the next update may drop, `instant` the types of instant ones, `cancels` the order that
+    each of `CANCELS` ends; `orders` the order under which an action began; `listed` the list in which the newest state
+    has it; `unseen` the order of each that the vehicle no longer has, and that was not over.
     """
 
     newest: dict[str, tuple[int, int]] = {}
-    asked: dict[str, None] = {}
+    asked: dict[str, int] = {}
     accepted: dict[str, None] = {}
     refused: dict[str, None] = {}
     parts: dict[str, str] = {}
+    horizon: dict[str, str] = {}
     instant: dict[str, str] = {}
     cancels: dict[str, str] = {}
     statuses: dict[str, str] = {}
@@ -90,6 +82,7 @@ class Vehicle(msgspec.Struct):
     order: str = ""
     failures: dict[str, int] = {}
     is_down: bool = False
+    had_arrived: bool = False
     ended: dict[str, None] = {}
 
 
@@ -114,14 +107,11 @@ class Vda5050:
         """Name what a complete recording of all topics has; a start may be missed between two states."""
         principals = ("decided_by", "requested_by", "executed_by", "task_id", "action_id")
         return (
-            "TaskArrived",
-            "TaskArrived.robot",
-            *("TaskCompleted", "TaskAbandoned"),
-            *("RequestIssued", *(f"RequestIssued.{name}" for name in principals)),
-            *("RequestAccepted", *(f"RequestAccepted.{name}" for name in principals[:3])),
-            *("RequestDenied", *(f"RequestDenied.{name}" for name in principals)),
-            *("ExecutionStarted", "ExecutionStarted.executed_by"),
-            *("ExecutionFinished", "ExecutionFinished.executed_by"),
+            *("TaskArrived.robot", "TaskCompleted", "TaskAbandoned"),
+            *(f"RequestIssued.{name}" for name in principals),
+            *(f"RequestAccepted.{name}" for name in principals[:3]),
+            *(f"RequestDenied.{name}" for name in principals),
+            *("ExecutionStarted.executed_by", "ExecutionFinished.executed_by"),
             *("ExecutionPaused", "ExecutionResumed", "ExecutionFailed", "ExecutionWithdrawn"),
             *("LinkWentDown", "LinkCameUp"),
         )
@@ -256,15 +246,22 @@ def _principals(robot: Robot, decided_by: Any) -> Principals:
 
 
 def _ordered(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iterator[Event]:
-    """Yield the arrival of a task and the request to its vehicle; an update of a known order adds nothing."""
-    order = _order(message)
-    for part in (*_listed(message, "nodes"), *_listed(message, "edges")):
-        vehicle.parts |= {str(action.get("actionId")): order for action in _listed(part, "actions")}
-    if not order or order in vehicle.asked:
+    """Yield the arrival of a task and the request to its vehicle; an update of a known order may drop actions."""
+    order, told = _order(message), message.get("orderUpdateId")
+    update = told if type(told) is int else 0
+    if not order or update < vehicle.asked.get(order, 0):
         return
-    vehicle.asked[order] = None
-    yield TaskArrived(task_id=order, robot=robot)
-    yield RequestIssued(subject=_subject(order), principals=_principals(robot, COORDINATOR), capability="order")
+    parts = (*_listed(message, "nodes"), *_listed(message, "edges"))
+    released = {f"{act.get('actionId')}": part.get("released") for part in parts for act in _listed(part, "actions")}
+    for action in [act for act, of in vehicle.horizon.items() if of == order and act not in released]:
+        vehicle.parts.pop(action, None)  # the update has another horizon
+        vehicle.unseen.pop(action, None)
+    vehicle.horizon = {action: order for action, is_released in released.items() if is_released is False}
+    vehicle.parts |= dict.fromkeys(released, order)
+    if order not in vehicle.asked:
+        yield TaskArrived(task_id=order, robot=robot)
+        yield RequestIssued(subject=_subject(order), principals=_principals(robot, COORDINATOR), capability="order")
+    vehicle.asked[order] = update
 
 
 def _changed(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iterator[Event]:
@@ -278,18 +275,23 @@ def _changed(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iter
     states = _listed(message, OF_ORDER)
     listed = (*states, *(state for name in BESIDE for state in _listed(message, name)))
     has_arrived = message.get("nodeStates") == [] and message.get("edgeStates") == []
-    cancels = [state for state in listed if _type(vehicle, state) == CANCEL]
+    cancels = [state for state in listed if _type(vehicle, state) in CANCELS]
     for state in cancels:
         is_of_last = not has_arrived and state.get("actionStatus") in OVER
-        vehicle.cancels.setdefault(str(state.get("actionId")), vehicle.order if is_of_last else order)
+        vehicle.cancels.setdefault(state["actionId"], vehicle.order if is_of_last else order)
     vehicle.order = order or vehicle.order
     yield from _vanished(vehicle, robot, order, message)
-    given_up = {
-        vehicle.cancels[str(state.get("actionId"))] for state in cancels if state.get("actionStatus") != "FAILED"
-    }
+    given_up = {vehicle.cancels[state["actionId"]] for state in cancels if state.get("actionStatus") != "FAILED"}
+    is_cleared = message.get("operatingMode") in CLEARS
     for state in listed:
-        yield from _acted(vehicle, robot, order, state, order in given_up)
-    yield from _cancelled(vehicle, cancels)
+        is_called_off = order in given_up or (is_cleared and vehicle.parts.get(state["actionId"]) == order)
+        yield from _acted(vehicle, robot, order, state, is_called_off)
+    for state in cancels:
+        if state.get("actionStatus") == "FINISHED":
+            yield from _given_up(vehicle, vehicle.cancels[state["actionId"]])
+    if is_cleared and has_arrived and not vehicle.had_arrived:
+        yield from _given_up(vehicle, vehicle.order)
+    vehicle.had_arrived = has_arrived
     is_cancelling = any(state.get("actionStatus") not in OVER for state in cancels)
     if has_arrived and not is_cancelling and order in vehicle.asked and order not in vehicle.ended:
         yield from _over(vehicle, order, states)
@@ -321,13 +323,11 @@ def _type(vehicle: Vehicle, state: Mapping[str, Any]) -> object:
     return state.get("actionType") or vehicle.instant.get(str(state.get("actionId")))
 
 
-def _cancelled(vehicle: Vehicle, cancels: Sequence[Mapping[str, Any]]) -> Iterator[Event]:
-    """Yield the end of the orders that a finished cancelOrder, not a failed one, has ended."""
-    for state in cancels:
-        order = vehicle.cancels[str(state.get("actionId"))]
-        if state.get("actionStatus") == "FINISHED" and order in vehicle.asked and order not in vehicle.ended:
-            vehicle.ended[order] = None
-            yield TaskAbandoned(order)
+def _given_up(vehicle: Vehicle, order: str) -> Iterator[Event]:
+    """Yield the end of an order that a vehicle does no more of, unless its end is recorded."""
+    if order in vehicle.asked and order not in vehicle.ended:
+        vehicle.ended[order] = None
+        yield TaskAbandoned(order)
 
 
 def _over(vehicle: Vehicle, order: str, states: Sequence[Mapping[str, Any]]) -> Iterator[Event]:

@@ -1,4 +1,4 @@
-"""Lines of VDA 5050 as recorders write them: with a topic, a text in place of the message, or no message at all."""
+"""Lines of VDA 5050 as recorders write them, and what vehicles report beside the straight course of an order."""
 
 from pathlib import Path
 from typing import Any
@@ -8,7 +8,7 @@ import pytest
 
 from tests.sources import vda
 from tests.sources.importing import filed, imported, kinds, rows
-from tests.sources.vda import order, state
+from tests.sources.vda import Line, order, state
 
 
 def test_a_message_as_a_text_says_what_the_message_says(tmp_path: Path) -> None:
@@ -90,3 +90,68 @@ def test_what_vehicles_do_without_an_order_is_no_task_that_they_share(tmp_path: 
         ("ExecutionFinished.v1", "i", "i"),
         ("ExecutionWithdrawn.v1", "j", "j"),
     ]
+
+
+def told(folder: Path, *lines: Line) -> list[tuple[str, str | None]]:
+    imported(folder / "ledger", filed(folder, lines))
+    events = [row for row in rows(folder / "ledger") if row["type"].startswith(("Execution", "TaskC", "TaskAb"))]
+    return [(row["type"].partition(".v")[0], row.get("action_id")) for row in events]
+
+
+@pytest.mark.parametrize("mode", ["MANUAL", "SERVICE", "STARTUP", "TEACHIN", "TEACH_IN"])
+@pytest.mark.parametrize("name", ["a", ""])
+def test_an_order_that_a_vehicle_clears_is_not_done_and_nothing_of_it_has_failed(
+    tmp_path: Path, mode: str, name: str
+) -> None:
+    """Somebody takes over by hand: the nodes that are left, and what was to be done there, are gone."""
+    asked, runs = order(0, "0001", "a", "p", "q"), state(1, "0001", "a", p="RUNNING", q="WAITING")
+    cleared = state(2, "0001", name, nodes=0, mode=mode, p="FAILED", q="FAILED")
+    if not name:
+        cleared["payload"]["actionStates"] = []
+    assert told(tmp_path, asked, runs, cleared, state(3, "0001", name, nodes=0)) == [
+        ("ExecutionStarted", "p"),
+        ("ExecutionWithdrawn", "p"),
+        ("TaskAbandoned", None),
+    ]
+
+
+@pytest.mark.parametrize("mode", [None, [], {}, 1])
+def test_a_mode_of_another_kind_clears_nothing(tmp_path: Path, mode: Any) -> None:
+    lines = [order(0, "0001", "a"), state(1, "0001", "a", nodes=2), state(2, "0001", "a", nodes=0, mode=mode)]
+    assert told(tmp_path, *lines) == [("TaskCompleted", None)]
+
+
+def test_an_order_without_actions_that_is_cleared_is_not_said_to_be_completed(tmp_path: Path) -> None:
+    lines = [order(0, "0001", "a"), state(1, "0001", "a", nodes=2), state(2, "0001", "a", nodes=0, mode="MANUAL")]
+    assert told(tmp_path, *lines, state(3, "0001", "a", nodes=0)) == [("TaskAbandoned", None)]
+
+
+def test_an_order_of_which_only_actions_were_left_is_completed_by_hand(tmp_path: Path) -> None:
+    lines = [order(0, "0001", "a", "p"), state(1, "0001", "a", nodes=0, p="RUNNING")]
+    lines += [state(2, "0001", "a", nodes=0, mode="MANUAL", p="RUNNING")]
+    assert told(tmp_path, *lines, state(3, "0001", "a", nodes=0, mode="MANUAL", p="FINISHED")) == [
+        ("ExecutionStarted", "p"),
+        ("ExecutionFinished", "p"),
+        ("TaskCompleted", None),
+    ]
+
+
+def test_a_vehicle_that_is_sent_to_sleep_has_given_up_its_order(tmp_path: Path) -> None:
+    asleep = state(2, "0001", "a", nodes=0)
+    asleep["payload"]["instantActionStates"] = [
+        {"actionId": "i", "actionType": "startHibernation", "actionStatus": "FINISHED"}
+    ]
+    lines = [order(0, "0001", "a"), state(1, "0001", "a", nodes=2), asleep]
+    assert told(tmp_path, *lines) == [("ExecutionFinished", "i"), ("TaskAbandoned", None)]
+
+
+@pytest.mark.parametrize("is_late", [False, True])
+def test_an_order_is_completed_without_the_horizon_that_an_update_took_from_it(tmp_path: Path, is_late: bool) -> None:
+    asked, update = order(0, "0001", "a", "p"), order(2, "0001", "a", "p", "q")
+    ahead = [{"actionId": "h", "actionType": "drop"}]
+    asked["payload"]["nodes"].append({"nodeId": "n2", "sequenceId": 2, "released": False, "actions": ahead})
+    update["payload"]["orderUpdateId"] = 1
+    changes = [update, state(3, "0001", "a", p="RUNNING", q="WAITING")]
+    lines = [asked, state(1, "0001", "a", p="RUNNING", h="WAITING"), *(changes[::-1] if is_late else changes)]
+    lines += [asked, state(4, "0001", "a", nodes=0, p="FINISHED", q="FINISHED")]  # the first order comes once more
+    assert told(tmp_path, *lines)[-1] == ("TaskCompleted", None)
