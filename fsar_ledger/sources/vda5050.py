@@ -33,14 +33,14 @@ from .adapter import BROKEN, OBJECT, UNREADABLE, Derived, Input, Record, json_te
 KINDS: Mapping[str, tuple[str, ...]] = {
     "state": ("operatingMode",),
     "connection": ("connectionState",),
-    "order": ("orderId", "nodes"),
-    "instantActions": ("actions",),
+    "order": ("nodes",),
+    "instantActions": ("actions", "instantActions"),
     "factsheet": ("typeSpecification",),
     "responses": ("responses",),
     "zoneSet": ("zoneSet",),
-    "visualization": ("agvPosition",),
+    "visualization": ("agvPosition", "referenceStateHeaderId"),
 }
-"""The fields that identify a message without a topic. Visualization comes last: a state has its fields, too."""
+"""Fields of which one identifies a message without a topic. Visualization comes last: a state has its fields, too."""
 
 HEADER = ("headerId", "manufacturer", "serialNumber")
 """Fields that every message has, and no recorder adds."""
@@ -208,7 +208,7 @@ def _kind(topic: object, message: Mapping[str, Any]) -> str:
     last = topic.rpartition("/")[2] if isinstance(topic, str) else ""
     if any(name in message for name in (*HEADER, *KINDS.get(last, ()))) and last in KINDS:
         return last
-    return next((kind for kind, fields in KINDS.items() if all(name in message for name in fields)), "unknown")
+    return next((kind for kind, fields in KINDS.items() if any(name in message for name in fields)), "unknown")
 
 
 def _robot(topic: object, message: Mapping[str, Any]) -> Robot | None:

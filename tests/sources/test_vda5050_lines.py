@@ -29,6 +29,23 @@ def test_a_topic_without_a_message_is_not_understood(tmp_path: Path, line: dict[
     assert [(one.kind, one.count, one.first) for one in found] == [("unknown", 1, 2)]
 
 
+@pytest.mark.parametrize(
+    ("kind", "fields"),
+    [
+        ("order", {"orderId": "a", "nodes": []}),
+        ("instantActions", {"instantActions": []}),
+        ("instantActions", {"actions": []}),
+        ("visualization", {"agvPosition": {}}),
+        ("visualization", {"referenceStateHeaderId": 1, "velocity": {}}),
+    ],
+    ids=["order", "instant actions of 2.0", "instant actions of 2.1", "visualization of 2.1", "visualization of 3.0"],
+)
+def test_a_message_without_a_topic_is_known_by_its_fields(tmp_path: Path, kind: str, fields: Line) -> None:
+    made = imported(tmp_path / "ledger", filed(tmp_path, [vda.message(0, "0001", kind, **fields)["payload"]]))
+    (seen,) = (row for row in rows(tmp_path / "ledger") if row["type"] == "Observed.v1")
+    assert (seen["kind"], made.not_understood) == (kind, ())
+
+
 def test_two_errors_of_one_type_are_both_observed(tmp_path: Path) -> None:
     errors = [{"errorType": "sensor", "errorDescription": where} for where in ("left", "right")]
     imported(tmp_path / "ledger", filed(tmp_path, [state(1, "0001", "a", errors=errors)]))
