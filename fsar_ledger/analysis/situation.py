@@ -19,7 +19,7 @@ from fsar_ledger.projections.registry import surface
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.task import Task
 from fsar_ledger.projections.trust import is_within
-from fsar_ledger.runtime.handlers.supervision import is_too_late
+from fsar_ledger.runtime.handlers.supervision import is_open
 
 if TYPE_CHECKING:
     from .moments import Past
@@ -245,7 +245,7 @@ def situation(past: "Past", busy_us: Mapping[str, int], robot: str | None) -> Si
             (
                 CallNow(number, call.supervisor, call.purpose, call.subject.action_id)
                 for number, call in state.supervision.calls.items()
-                if not is_too_late(state, call) and (robot is None or call.subject.action_id in names)
+                if is_open(state, call) and (robot is None or call.subject.action_id in names)
             ),
         ),
         tasks=seen.all("task", (_task(task) for task in state.task.values() if robot in (None, task.robot))),

@@ -24,7 +24,7 @@ from fsar_ledger.projections.supervision import density
 from fsar_ledger.projections.task import given_up_us
 from fsar_ledger.projections.trust import scope_of
 from fsar_ledger.runtime.handlers.public import PublicCommand, commands, own_fields
-from fsar_ledger.runtime.handlers.supervision import is_settled, is_too_late
+from fsar_ledger.runtime.handlers.supervision import is_open
 
 from . import KINDS
 
@@ -92,7 +92,7 @@ def overview(state: State, now_us: int, principal: str, run: str) -> Overview:
 def _calls(state: State, supervisor: str | None) -> Iterator[OpenCall]:
     for call in state.supervision.calls.values():
         about = call.subject.action_id
-        if is_settled(state, call) or is_too_late(state, call) or supervisor not in (None, call.supervisor):
+        if not is_open(state, call) or supervisor not in (None, call.supervisor):
             continue
         task = state.task.get(call.subject.task_id)
         ends_us = None if task is None else given_up_us(task, state.fleet)

@@ -20,9 +20,9 @@ from fsar_ledger.projections.knowledge import Knowledge
 from fsar_ledger.projections.policy import Policy, rules_in_force
 from fsar_ledger.projections.recovery import Recoveries
 from fsar_ledger.projections.request import Request
-from fsar_ledger.projections.supervision import Supervision
 from fsar_ledger.projections.task import RequestEnds, Tasks
 from fsar_ledger.projections.world import World
+from fsar_ledger.runtime.handlers.supervision import is_open
 
 TRACKS = ("task", "work", "queue", "recovery", "request", "call", "claim", "policy", "told", "world")
 """The rows of a lane, from top to bottom."""
@@ -78,7 +78,7 @@ def spans_of(run: LedgerRun) -> tuple[Span, ...]:
     )
     reads: dict[str, Callable[[Any], Iterator[Fact]]] = {**FACTS, "execution": execution_facts}
     for seq, (time_us, event) in enumerate(zip(run.times_us, run.events, strict=True)):
-        requests, actions, ended = state.request, state.execution.actions, ends
+        requests, actions, ended, calls = state.request, state.execution.actions, ends, state.supervision.calls
         ends = ends.after(event)
         for slot, evolve in ROUTES.get(type(event), ()):
             old = getattr(state, slot)
@@ -89,6 +89,9 @@ def spans_of(run: LedgerRun) -> tuple[Span, ...]:
         is_freed = ends.is_foreign and state.execution.actions is not actions
         if state.request is not requests or ends is not ended or is_freed:
             facts.requests(state, ends, event, time_us, seq)
+        is_moved = state.request is not requests or state.execution.actions is not actions
+        if state.supervision.calls is not calls or (calls and is_moved):
+            facts.now("call", frozenset(call_facts(state)), time_us, seq)
         facts.beside(event, time_us, seq)
     facts.end()
     return tuple(sorted(facts.spans, key=lambda span: (span.start_us, span.seq, span.fact)))
@@ -181,8 +184,9 @@ def request_facts(requests: Iterable[Request]) -> Iterator[Fact]:
             yield Fact(request.requester, "request", kind, request.action_id, request.capability)
 
 
-def _calls(state: Supervision) -> Iterator[Fact]:
-    for call in state.calls.values():
+def call_facts(state: State) -> Iterator[Fact]:
+    """Yield a fact for each call that can still be answered."""
+    for call in filter(partial(is_open, state), state.supervision.calls.values()):
         yield Fact(call.supervisor, "call", call.purpose, call.subject.action_id, f"call: {call.purpose}")
 
 
@@ -227,10 +231,9 @@ FACTS: dict[str, Callable[[Any], Iterator[Fact]]] = {
     "task": _tasks,
     "execution": _execution,
     "recovery": _recoveries,
-    "supervision": _calls,
     "authority": _claims,
     "policy": _rules,
     "world": _world,
     "knowledge": _fleet_rule_facts,
 }
-"""The facts of each slot of the state; requests rest on more than one (`_Facts.requests`)."""
+"""The facts of each slot of the state; requests (`_Facts.requests`) and calls rest on more than one."""

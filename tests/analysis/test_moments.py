@@ -15,6 +15,7 @@ from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.architectures.fsar.reports import JudgeRequest, ReportPresence, ReportWindow
 from fsar_ledger.runtime.simulation import RunSpec, kernel
+from fsar_ledger.view.spans import spans_of
 from tests.analysis.conftest import OUTAGES, simulated
 from tests.runtime.test_live import OPENING, A, B, Play, at_the_door
 
@@ -129,12 +130,15 @@ def test_nothing_is_said_of_what_a_silent_robot_does_and_a_call_that_came_to_not
         steps = ["A door.open.secure B"]
         hall.give("SubmitTask", "service/hub", robot="robot/A1", task_id="t", steps=steps, budget_us=600_000_000)
         hall.give("JudgeRequest", b, robot=b, action_id="t/1.1", accepts=True)
-        for _ in range(10):
+        for _ in range(20):
             now[0] += 1
             hall.advance()
-    seen = []
-    for at_s in (1, 5, None):
-        found = fsar_ledger.Ledger(tmp_path / "ledger").state("day", at=at_s)
+    seen, ledger = [], fsar_ledger.Ledger(tmp_path / "ledger")
+    for at_s in (1, 5, 10, None):  # the task goes on after 15 s
+        found = ledger.state("day", at=at_s)
         [silent] = [robot for robot in found.standing.robots or () if robot.robot == b]
         seen.append((silent.is_idle, silent.departed, len(found.standing.calls or ())))
-    assert seen == [(True, None, 1), (None, None, 1), (None, "silent", 0)]
+    assert seen == [(True, None, 1), (None, None, 1), (None, "silent", 0), (None, "silent", 0)]
+    [call] = [span for span in spans_of(ledger.record("day")) if span.fact.track == "call"]
+    assert call.end_us is not None
+    assert 5_000_000 < call.end_us < 10_000_000

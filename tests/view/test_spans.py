@@ -20,7 +20,7 @@ from fsar_ledger.metrics.database import from_table
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.task import RequestEnds
-from fsar_ledger.view.spans import FACTS, TRACKS, Fact, Span, lane_of, request_facts, spans_of
+from fsar_ledger.view.spans import FACTS, TRACKS, Fact, Span, call_facts, lane_of, request_facts, spans_of
 from tests import past
 from tests.foreign.histories import foreign_run
 from tests.view.conftest import a_run
@@ -43,6 +43,7 @@ def test_at_every_event_exactly_the_facts_of_the_state_hold(runs: dict[str, Ledg
             apply(state, event)
             facts = {fact for slot, read in FACTS.items() for fact in read(getattr(state, slot))}
             facts |= {*request_facts(one for one in state.request.open.values() if not one.is_over)}
+            facts |= {*call_facts(state)}
             assert held(of_state, seq) == {fact for fact in facts if fact.lane != "coordinator"}, seq
 
 

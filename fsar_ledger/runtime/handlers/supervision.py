@@ -132,6 +132,14 @@ def is_too_late(state: State, call: SupervisorCalled) -> bool:
     return call.purpose == "review" and is_over
 
 
+def is_open(state: State, call: SupervisorCalled) -> bool:
+    """Return whether the call can still be answered.
+
+    Where the run is of another system, what it is about may be on no record.
+    """
+    return not (is_too_late(state, call) or (state.fleet.is_live and is_settled(state, call)))
+
+
 def _unfit(call: SupervisorCalled, command: RespondToCall) -> str | None:
     """Return why the answer does not fit the call, or None."""
     if not command.approves and call.purpose != "review":
