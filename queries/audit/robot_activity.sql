@@ -1,8 +1,8 @@
 -- Title: What a robot was doing at a time
 -- Paper: sec:model:robot
--- Grain: one row per run, robot and action that it does or helps with; a robot that had joined and had none has one
---   row: `off`, `departed` or `idle`
--- Key: run_id, robot, action_id?
+-- Grain: one row per run, robot and action that it does, and per action that it is `helping` with, which may be its
+--   own; a robot that had joined and had none has one row: `off`, `departed` or `idle`
+-- Key: run_id, robot, action_id?, doing?
 -- Units: since_us microseconds of run time; at seconds, by default after the end of every run
 -- NULL: action_id, since_us, on_behalf_of when no action was in progress; on_behalf_of also when the robot helps
 --   another; doing also when nothing is on record and the run does not observe execution and recovery, or an action was
