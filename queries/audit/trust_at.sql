@@ -2,9 +2,9 @@
 -- Paper: eq:trust
 -- Grain: one row per run, ordered pair of robots and entry about it that had been set by then; with a capability or
 --   context as parameter, only the entry that holds
--- Key: run_id, robot, peer, role?, peer_role?, domain?, capability?, context?
+-- Key: run_id, robot, peer, seq
 -- Units: since_us (not before both were members), until_us microseconds of run time, half-open; at seconds, by default
---   after the end of every run
+--   after the end of every run; seq position in the run of the entry, for `prove RUN:SEQ`
 -- NULL: role, peer_role, domain of an entry about the very pair; capability, context when the entry is about all of
 --   them; until_us when it was not set again; set_by for initial settings of the fleet; a pair without a row had no
 --   trust
@@ -25,7 +25,7 @@ entries AS (
     SELECT
         found.run_id, found.role, found.peer_role, found.domain, found.capability, found.context,
         greatest(found.since_us, trusting.joined_us, trusted.peer_joined_us) AS since_us,
-        found.until_us, found.trust_scope, found.set_by, found.reason, found.precedence, trusting.robot,
+        found.until_us, found.trust_scope, found.set_by, found.reason, found.precedence, found.seq, trusting.robot,
         trusted.robot AS peer,
         $capability = 'all' AND $context = 'all' AS is_listed
     FROM trust_in_force AS found
@@ -40,7 +40,8 @@ entries AS (
 )
 
 SELECT
-    run_id, robot, peer, role, peer_role, domain, capability, context, trust_scope, since_us, until_us, set_by, reason
+    run_id, robot, peer, role, peer_role, domain, capability, context, trust_scope, since_us, until_us, set_by, reason,
+    seq
 FROM entries
 WHERE is_listed OR ((capability IS NULL OR capability = $capability) AND (context IS NULL OR context = $context))
 QUALIFY is_listed OR row_number() OVER (PARTITION BY run_id, robot, peer ORDER BY precedence DESC) = 1

@@ -1,7 +1,7 @@
 -- Title: Failures, how each was resolved and when recovery left its first level
 -- Paper: sec:model:recovery
--- Grain: one row per ExecutionFailed event (run, action, number of the failure within the action)
--- Key: run_id, action_id, failure
+-- Grain: one row per ExecutionFailed event: one per run, action and number of the failure, unless it is told twice
+-- Key: run_id, seq
 -- Units: detected_us, resolved_us, left_us microseconds of run time; latency_us microseconds, 0 when recovery leaves
 --   its first level at once
 -- NULL: resolved_level, resolved_us when never resolved; left_us when the first level was never left; latency_us when

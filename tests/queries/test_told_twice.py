@@ -70,3 +70,23 @@ def test_a_start_that_breaks_a3_in_two_ways_has_two_rows_that_its_key_tells_apar
     with from_rows(run(*acts)) as database:
         assert database.query(name).num_rows == 2
         assert broken_keys(database, iter([library().find(name)])) == []
+
+
+def test_two_entries_of_initial_trust_about_one_pair_are_told_apart_by_their_place_in_the_run() -> None:
+    members = [event("RobotJoined", robot=f"robot/{name}", role="r", team=1, domain="") for name in ("A1", "B1")]
+    trusting = event("InitialTrustSet", S, robot=ROBOT, scope="session", is_trusting=True)
+    trusted = event("InitialTrustSet", S, robot="robot/B1", scope="task", is_trusting=False)
+    rows = run(*members, trusting, trusted)
+    assert answer("audit/trust_at", rows, columns=("robot", "peer", "trust_scope", "seq")) == [
+        (ROBOT, "robot/B1", "session", 3),
+        (ROBOT, "robot/B1", "task", 4),
+    ]
+    with from_rows(rows) as database:
+        assert broken_keys(database, iter([library().relations["trust_at"]])) == []
+
+
+def test_a_failure_that_is_told_twice_has_a_row_for_each_of_its_records() -> None:
+    rows = run(about("ExecutionFailed", S), about("ExecutionFailed", 2 * S))
+    assert answer("facts/failures", rows, columns=("seq", "failure")) == [(1, 1), (2, 1)]
+    with from_rows(rows) as database:
+        assert broken_keys(database, iter([library().relations["failures"]])) == []
