@@ -3,9 +3,9 @@
 -- Grain: one row per action, as it was last requested, within each chain of two or more links that it belongs to
 -- Key: run_id, chain, action_id
 -- Units: link number of the link on record from 1; asked_us microseconds of run time of the last request
--- NULL: verdict, conjunct, trust while the link has not been judged; conjunct unless denied; is_well_formed while a
---   link is open in a live or foreign run, is not judged in a run that does not observe request, or serves a request
---   that is not on record; end_scope then, or when the link's executor had yet to set trust in the first requester
+-- NULL: an unnamed principal; verdict, conjunct, trust of a link that is not judged; conjunct unless denied;
+--   is_well_formed while a link is open in a live or foreign run, is not judged in a run that does not observe request,
+--   or serves a request not on record; end_scope then, or before the link's executor set trust in the first requester
 -- Example: fsar-ledger query audit/delegation_chains LEDGER --param run=RUN
 --   answers link 1 robot/A1 to robot/B1 (task, admitted), link 2 robot/B1 to robot/C1 (session, admitted): well-formed
 -- Parameters: run: run = all, action: action = all

@@ -6,9 +6,9 @@
 -- Units: step counts from 1 within the failure; level_number 1 local to 4 human; time_s, until_s seconds of run time;
 --   spent_s seconds at the level in all; budget_s seconds from detection to the deadline of the attempt
 -- NULL: decided_by when the record names none; result when there was none or none is recorded; until_s of the last
---   step; budget_s where no attempt has a deadline; achieved when nothing was achieved; budget_s, and spent_s of the
---   first level, when the failure itself is not on record; spent_s of the last level, when no resolution is on record
---   and the run does not record resolutions
+--   step; to_level unless an escalation; budget_s where no attempt has a deadline; achieved when nothing was achieved;
+--   budget_s, and spent_s of the first level, when the failure itself is not on record; spent_s of the last level, when
+--   no resolution is on record and the run does not record resolutions
 -- Example: fsar-ledger query audit/failure_timeline LEDGER --param run=RUN --param action=A1-1/2.1
 --   answers attempt 1 and 2 at robot/D1 in vain, no peer, no reassignment, supervisor/fleet resolved it; 4.356, 0.196,
 --   0.571 and 24.384 s

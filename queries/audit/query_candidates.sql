@@ -5,7 +5,8 @@
 -- Key: run_id, seq, robot
 -- Units: time_us, as_of_us microseconds of run time
 -- NULL: rejected_by when the record names no filter for the robot; trust_scope when the robot had set none for the
---   requester; relay, action_id when the query had none; as_of_us when the answer reflects the time of the query
+--   requester; relay, action_id, task_id when the query had none; a cause or principal that the record does not name;
+--   as_of_us when the answer reflects the time of the query
 -- Example: fsar-ledger query audit/query_candidates LEDGER --param run=RUN --param action=injected-1-2 --param
 --   robot=robot/C1
 --   answers robot/C1 was rejected by visibility: not visible to role D

@@ -3,8 +3,9 @@
 -- Grain: one row per move of a failure's recovery to a level; attempts that stay at the level add no row
 -- Key: run_id, action_id, failure, seq
 -- Units: time_us microseconds of run time; move number of the row within the failure from 1; *_rank 1 local to 4 human
--- NULL: from_level, from_rank for the first level of a failure, unless it is an escalation that names the level before;
---   reason, why the previous level was left, for the first level and where the record does not give it
+-- NULL: decided_by when the record names no decider; from_level, from_rank for the first level of a failure, unless it
+--   is an escalation that names the level before; reason, why the previous level was left, for the first level and
+--   where the record does not give it
 -- Example: fsar-ledger query audit/recovery_moves LEDGER
 --   answers A1-1/4.1: local at 80.172 s, peer at 84.274 s, fleet at 84.339 s, human at 84.854 s
 WITH ranks (level, rank) AS (

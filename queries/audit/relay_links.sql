@@ -3,8 +3,8 @@
 -- Grain: one row per link (two for a chain: requester to relay, relay to executor) of each request through a relay
 -- Key: run_id, asked_seq, link
 -- Units: link number of the link from 1; passed_us microseconds of run time
--- NULL: passed_us, seq when the relay did not pass it on; a trust scope that had not been set by then; is_trusted also
---   when the run does not observe fleet and trust
+-- NULL: action_id, sender, receiver when the record does not name them; passed_us, seq when the relay did not pass it
+--   on; a trust scope that had not been set by then; is_trusted also when the run does not observe fleet and trust
 -- Example: fsar-ledger query audit/relay_links LEDGER --param run=RUN
 --   answers link 1 robot/D1 to robot/A1 (capability), link 2 robot/A1 to robot/B1 (task); robot/B1 has set none for
 --   robot/D1

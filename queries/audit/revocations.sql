@@ -4,7 +4,7 @@
 -- Key: run_id, seq
 -- Units: revoked_us, effective_us microseconds of run time; waited_us microseconds
 -- NULL: effective_us, waited_us, boundary, action_id of a right when it never took effect; revoked_from when no
---   principal held execution; capability, context: any
+--   principal held execution; revoked_by when the record names no decider; capability, context: any
 -- Example: fsar-ledger query audit/revocations LEDGER --param run=RUN
 --   answers A1-1/7.1: robot/A1 revoked at 51.375 s what robot/D1 executed; effective after its ExecutionFinished, 7.111
 --   s later

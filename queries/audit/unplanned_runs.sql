@@ -3,7 +3,7 @@
 -- Grain: one row per run that no plan names
 -- Key: run_id
 -- Units: fleet_size robots
--- NULL: never
+-- NULL: dimensions that a run lacks, such as one that was not simulated
 -- Example: fsar-ledger query audit/unplanned_runs LEDGER
 --   answers one row for each live run, and for each run from before plans were on record
 -- Live runs are never planned, and ledgers from before plans were recorded have none. Nothing in a ledger shows whether

@@ -4,7 +4,7 @@
 -- Key: none, a start that is held has an event each time it is looked at
 -- Units: about: the position of the query and the robot left out; the action whose start was held; else the position of
 --   the event
--- NULL: never
+-- NULL: about of a held start, and mechanism of a robot left out, where the record names no action, or no filter
 -- Example: fsar-ledger query facts/mechanism_decisions LEDGER
 WITH said AS (
     SELECT

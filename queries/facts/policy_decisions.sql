@@ -4,9 +4,9 @@
 --   to another
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
--- NULL: is_against_* when the run does not observe policy, is_heeded when no record shows it and the run does not
---   observe request and supervision; is_against_*: that policy had not allowed it for at least a second (two messages);
---   is_heeded: it was refused, put to review, or approved in one
+-- NULL: executor where none is named; is_against_* when the run does not observe policy, is_heeded when no record shows
+--   it and the run does not observe request and supervision; is_against_*: that policy had not allowed it for at least
+--   a second (two messages); is_heeded: it was refused, put to review, or approved in one
 -- Example: fsar-ledger query facts/policy_decisions LEDGER
 -- Stored: the evidence of governance reads it twice
 WITH judgements AS (

@@ -5,9 +5,9 @@
 --   recorded failure on
 -- Key: run_id, seq
 -- Units: time_us, deadline_us microseconds of run time; t_max_us microseconds; n_max uses; rank 1 local to 4 human
--- NULL: failure, robot before any failure of the action; level, rank where the record names none; to_rank unless an
---   escalation; t_max_us, n_max as in facts/recovery_allowances; helper, deadline_us, reason where the record gives
---   none
+-- NULL: failure, robot before any failure of the action; level, rank where the record names none; to_level, to_rank
+--   unless an escalation; t_max_us, n_max as in facts/recovery_allowances; helper, deadline_us, reason where the record
+--   gives none
 -- Example: fsar-ledger query facts/recovery_acts LEDGER
 -- Stored: I4 and the cases that the audit checked both read it
 WITH ranks (level, rank) AS (

@@ -4,7 +4,7 @@
 -- Key: run_id, action_id, failure, seq
 -- Units: detected_us, time_us, until_us microseconds of run time; until_us is when the next step was taken
 -- NULL: detected_us when the failure itself is not on record; decided_by, helper when the record names none; result
---   when there was none or none is recorded; until_us of the last step
+--   when there was none or none is recorded; until_us of the last step; to_level, deadline_us, achieved when none
 -- Example: fsar-ledger query facts/recovery_steps LEDGER
 WITH records AS (
     SELECT

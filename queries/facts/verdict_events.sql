@@ -4,7 +4,8 @@
 --   budget (late), and record that is not attributable (unattributed)
 -- Key: run_id, verdict, seq, about
 -- Units: time_us microseconds of run time; seq, made_by positions in the run
--- NULL: action_id for a motion, a task, and a record that names none
+-- NULL: action_id for a motion, a task, and a record that names none; time_us of a task that never ended and whose due
+--   time is not known
 -- Example: fsar-ledger query facts/verdict_events LEDGER
 -- Behind each: the windows and rules in force, and the start; the overlapping claims; the arrival of the task, what
 -- held it up, and its end; the record.
