@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from fsar_ledger.base import printable, utc
 from fsar_ledger.base.errors import UsageError, option
-from fsar_ledger.metrics.sql_values import PRINCIPALS, RUNS, TIME, names_on_record, require_known
+from fsar_ledger.metrics.sql_values import FIXED, PRINCIPALS, RUNS, TIME, names_on_record, require_known
 from fsar_ledger.metrics.verified import is_verified_for_runs, require_runs
 
 from .names import MAX_DIGITS, Time, known_name, microseconds, principal_named, run_named
@@ -226,7 +226,7 @@ def parameters_of(database: "Database", query: "Query", given: Mapping[str, obje
 
 def _name_on_record(database: "Database", kind: str, name: str, run: str | None) -> str:
     names, what = names_on_record(database, kind, run), _WORDS.get(kind, kind)
-    with resting_on_rows(database.rows_verified):
+    with resting_on_rows(None if kind in FIXED else database.rows_verified):
         return principal_named(what, name, names) if kind in PRINCIPALS else known_name(what, name, names)
 
 

@@ -140,7 +140,8 @@ def _unknown(what: str, name: str, hint: str, names: Sequence[str]) -> UsageErro
 
 
 def _one_of(what: str, names: Sequence[str]) -> str:
-    return f"one of {printable.list_few(map(printable.value, sorted(names))) or f'none: no {what} is on record'}"
+    few = printable.list_few(map(printable.value, sorted(names)))
+    return f"one of {few}" if few else f"none: no {what} is on record"
 
 
 def names_of(asked: str | Sequence[str] | None) -> list[str] | None:

@@ -166,11 +166,16 @@ def values(query: str, parameters: Mapping[str, Parameter], given: Mapping[str, 
 
 RUNS = "SELECT run_id FROM run_numbers ORDER BY number"
 PRINCIPALS = ("robot", "supervisor")
+FIXED = ("record", "claim", "case", "period")
+"""Kinds whose names are the same whatever a ledger holds."""
 ON_RECORD = {
     "robot": """
-        SELECT robot AS name FROM robot_joined WHERE $run IS NULL OR run_id = $run
-        UNION ALL
-        SELECT unnest([decided_by, requested_by, executed_by]) AS name FROM events WHERE $run IS NULL OR run_id = $run
+        SELECT unnest(
+            [robot, peer, helper, on_behalf_of, relay, claimant, decided_by, requested_by, executed_by]
+            || coalesce(candidates, []) || coalesce(rejected, [])
+        ) AS name
+        FROM events
+        WHERE $run IS NULL OR run_id = $run
     """,
     "supervisor": """
         SELECT supervisor AS name FROM robot_joined WHERE $run IS NULL OR run_id = $run

@@ -15,9 +15,9 @@ from fsar_ledger.base.errors import InvalidQuery, UnknownQuery, UsageError
 from fsar_ledger.base.printable import ranges
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.metrics.library import library, parse
-from fsar_ledger.metrics.sql_values import KINDS, Parameter
+from fsar_ledger.metrics.sql_values import KINDS, Parameter, names_on_record
 from tests.api.conftest import RUN
-from tests.queries.histories import run
+from tests.queries.histories import act, run
 from tests.queries.test_every_query import HEADER
 from tests.quick import few
 from tests.recycled import from_rows
@@ -230,6 +230,25 @@ def test_a_typing_error_in_a_parameter_is_an_error_with_the_nearest(
 
 def test_every_kind_of_parameter_is_used_and_has_its_typing_error() -> None:
     assert set(KINDS) == {one.kind for _, one in PARAMETERS} == set(TYPING_ERRORS)
+
+
+def test_a_robot_that_only_moves_helps_or_is_found_in_a_record_is_a_name_on_record() -> None:
+    moves = act("ExecutionStarted", 1, "t/1", robot="robot/A", on_behalf_of="robot/B", capability="lift")
+    helps = act("AssistanceAdmitted", 2, "t/1", helper="robot/C")
+    found = act("RegistryQueried", 3, "t/1", candidates=["robot/D"], rejected=["robot/E"], rejected_by=["trust"])
+    with from_rows(run(moves, helps, found, kind="foreign")) as database:
+        assert names_on_record(database, "robot", "r1") == [f"robot/{name}" for name in "ABCDE"]
+        assert names_on_record(database, "robot", "another") == []
+
+
+def test_what_is_no_period_is_so_whatever_the_rows_of_a_ledger_are(ledger: fsar_ledger.Ledger) -> None:
+    with pytest.raises(UsageError, match=r"no such period; expected one of day, part$"):
+        ledger.query("metrics_by_period", per="week")
+
+
+def test_a_record_that_names_no_robot_says_so() -> None:
+    with pytest.raises(UsageError, match=r"^robot B1: there is no such robot; expected none: no robot is on record$"):
+        principal_named("robot", "B1", [])
 
 
 @pytest.mark.parametrize(
