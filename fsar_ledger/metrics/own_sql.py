@@ -343,6 +343,7 @@ def register(connection: duckdb.DuckDBPyConnection) -> None:
 
 
 def first_lines(text: str) -> str:
-    """Return the beginning of DuckDB's message, without blank lines and with long ones cut."""
-    lines = [line if len(line) <= SHOWN else f"{line[:SHOWN]}..." for line in text.splitlines() if line.strip()]
+    """Return the beginning of DuckDB's message, without tabs and blank lines and with long ones cut."""
+    every = (line for line in text.expandtabs(4).splitlines() if line.strip())
+    lines = [line if len(line) <= SHOWN else f"{line[:SHOWN]}..." for line in every]
     return "\n".join(lines[:MESSAGE_LINES])

@@ -11,7 +11,7 @@ from scipy import stats
 from fsar_ledger.base.errors import QueryFailed
 from fsar_ledger.metrics.database import Database, connect, from_rows
 from fsar_ledger.metrics.library import library
-from fsar_ledger.metrics.own_sql import listing, understood
+from fsar_ledger.metrics.own_sql import first_lines, listing, understood
 from fsar_ledger.metrics.sandbox import prepared
 from tests.queries.keys import required
 from tests.untrusted import run_untrusted
@@ -50,6 +50,11 @@ def test_a_table_that_is_a_macro_is_said_to_be_called(ledger: Path) -> None:
 
 
 @pytest.mark.slow
+def test_the_parameters_that_a_macro_has_are_named_without_a_tab_that_a_terminal_would_show_as_such() -> None:
+    message = "Candidate macros:\n\tdenials(run := 'all')\n\n"
+    assert first_lines(message) == "Candidate macros:\n    denials(run := 'all')"
+
+
 def test_the_tables_are_shown_with_their_parameters_whatever_was_read_before(ledger: Path) -> None:
     (shown,) = run_untrusted(ledger, "SELECT list(name ORDER BY name) AS names FROM (SHOW TABLES)").rows
     assert shown["names"] == sorted(["events", *library().relations])
