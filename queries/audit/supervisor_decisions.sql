@@ -49,7 +49,7 @@ decided AS (
                     || ' '
                     || outcome
                     || coalesce(' in ' || context, '')
-            WHEN 'SupervisionDensitySet.v1' THEN 'review every ' || review_every
+            WHEN 'SupervisionDensitySet.v1' THEN if(review_every = 0, 'no reviews', 'review every ' || review_every)
             WHEN 'AuthorityGranted.v1' THEN 'up to ' || override
             WHEN 'AuthorityRevoked.v1' THEN reason
             WHEN 'RecoveryBudgetSet.v1' THEN level || ' ' || n_max || ' in ' || t_max_us || ' us'

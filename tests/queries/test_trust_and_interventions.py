@@ -118,6 +118,11 @@ def test_a_decision_of_a_supervisor_that_has_no_words_of_its_own_reads_as_in_the
     assert asked("supervisor_decisions", "decision", *events) == [("gives the task on",), ("deny",)]
 
 
+def test_who_wants_no_reviews_is_not_said_to_review_every_nothing() -> None:
+    ended = event("SupervisionDensitySet", 1, robot="robot/B1", review_every=0, decided_by=H_B, reason="day")
+    assert asked("supervisor_decisions", "decision", ended) == [("no reviews",)]
+
+
 def test_each_call_of_the_fleet_supervisor_is_an_intervention_with_its_purpose_and_answer() -> None:
     def called(at: int, action: str, purpose: str, supervisor: str = H_F) -> dict[str, Any]:
         return event("SupervisorCalled", at, action_id=action, purpose=purpose, supervisor=supervisor)
