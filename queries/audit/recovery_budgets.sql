@@ -13,7 +13,10 @@
 WITH stays AS (
     SELECT
         moves.run_id, moves.action_id, moves.failure, moves.level, moves.rank, moves.seq, failures.robot,
-        coalesce(lead(moves.time_us) OVER by_failure, failures.resolved_us)
+        coalesce(
+            lead(moves.time_us) OVER by_failure,
+            if(failures.resolved_us < moves.time_us, NULL, failures.resolved_us)
+        )
         - CASE
             WHEN moves.move > 1 OR (failures.detected_us IS NULL AND moves.from_level IS NOT NULL) THEN moves.time_us
             ELSE failures.detected_us

@@ -21,11 +21,17 @@ WITH stays AS (
         END AS entered_us,
         lead(moves.seq) OVER by_failure AS next_seq,
         lead(moves.reason) OVER by_failure AS left_because,
-        coalesce(lead(moves.time_us) OVER by_failure, failures.resolved_us) AS left_us,
+        -- A level that recovery reaches after the resolution does not end with it.
+        coalesce(
+            lead(moves.time_us) OVER by_failure,
+            if(failures.resolved_us < moves.time_us, NULL, failures.resolved_us)
+        ) AS left_us,
         CASE
-            WHEN lead(moves.seq) OVER by_failure IS NOT NULL THEN FALSE
-            WHEN failures.resolved_us IS NOT NULL THEN TRUE
-            WHEN list_contains(runs.observes, 'recovery') THEN FALSE
+            WHEN
+                failures.resolved_us >= moves.time_us
+                AND coalesce(failures.resolved_us < lead(moves.time_us) OVER by_failure, TRUE)
+                THEN TRUE
+            WHEN lead(moves.seq) OVER by_failure IS NOT NULL OR list_contains(runs.observes, 'recovery') THEN FALSE
         END AS is_resolved_here,
         if(list_contains(runs.observes, 'recovery'), NULL, 0) AS none_seen
     FROM recovery_moves AS moves

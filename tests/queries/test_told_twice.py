@@ -90,3 +90,22 @@ def test_a_failure_that_is_told_twice_has_a_row_for_each_of_its_records() -> Non
     assert answer("facts/failures", rows, columns=("seq", "failure")) == [(1, 1), (2, 1)]
     with from_rows(rows) as database:
         assert broken_keys(database, iter([library().relations["failures"]])) == []
+
+
+def test_a_level_that_recovery_reaches_after_the_resolution_has_no_time_below_zero() -> None:
+    moves = [
+        about("ExecutionFailed", S),
+        about("RecoveryAttempted", 2 * S, level="local", number=1, deadline_us=9 * S),
+        about("FailureResolved", 3 * S, level="local"),
+        about("RecoveryEscalated", 5 * S, level="local", to_level="peer", reason="no answer"),
+    ]
+    columns = ("level", "left_us", "spent_us", "is_resolved_here")
+    assert answer("audit/recovery_time", run(*moves), columns=columns) == [
+        ("local", 5 * S, 4 * S, True),
+        ("peer", None, None, False),
+    ]
+    assert answer("audit/recovery_budgets", run(*moves), columns=("level", "spent_us")) == [
+        ("local", 4 * S),
+        ("peer", None),
+    ]
+    assert answer("audit/recovery_time", run(*moves[:3]), columns=columns) == [("local", 3 * S, 2 * S, True)]
