@@ -191,8 +191,9 @@ def test_a_recording_that_has_grown_says_what_it_says_at_once(imported: Import) 
 @pytest.mark.slow
 def test_an_honest_fleet_offends_nothing_and_what_is_not_recorded_is_named(imported: Import) -> None:
     holding, broken, lacking = verdicts(imported(honest_day()).ledger)
-    assert (holding, broken) == ({"i1", "a2"}, set())
-    assert lacking["i2"] == lacking["a4"] == "RequestAccepted.decided_by"
+    assert (holding, broken) == ({"a2"}, set())
+    assert lacking["a4"] == "RequestAccepted.decided_by"
+    assert (lacking["i1"], lacking["i2"]) == ("RobotDeparted", "AuthorityRevoked, RequestAccepted.decided_by")
     assert all(lacking.values())
 
 
