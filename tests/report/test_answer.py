@@ -70,7 +70,7 @@ def test_a_cell_that_moves_changes_the_words() -> None:
     assert column(as_printed, "claims", "holds") == [True] * 8
     moved = page(governance_locality__fsar=0.6)
     assert "7 of these rankings come out, and that by governance locality does not come out" in said(moved, "answer")
-    assert "Of its main table governance locality of FSAR does not come out" in said(moved, "answer")
+    assert "Of its main table one number does not come out: governance locality of FSAR." in said(moved, "answer")
     both = said(page(governance_locality__fsar=0.6, policy_violations__fsar=9.0), "answer")
     assert "and those by governance locality and policy violations do not come out" in both
     assert column(moved, "claims", "holds") == [True, False, *[True] * 6]
@@ -83,13 +83,13 @@ def test_that_constants_were_fitted_to_the_main_table_is_said_where_it_is_judged
     numbers = results(governance_locality__fsar=0.6)
     of_its_model = msgspec.structs.replace(made(numbers, pairs_of(numbers)), model_version=record.model_version)
     found = said(Document(of_its_model, record), "answer")
-    assert f"to which {len(record.parameters)} constants were fitted, governance locality of FSAR does not" in found
-    assert "Of its main table governance locality" in said(Document(of_its_model), "answer")
+    assert f"to which {len(record.parameters)} constants were fitted, one number does not come out: " in found
+    assert "Of its main table one number" in said(Document(of_its_model), "answer")
 
 
 def test_the_farthest_comes_first() -> None:
     found = said(page(governance_locality__dhma=0.6, audit_attributability__cfc=0.6), "answer")
-    assert "table audit attributability of CFC and governance locality of DHMA do not" in found
+    assert "the farthest first: audit attributability of CFC and governance locality of DHMA." in found
 
 
 def test_the_sentences_are_plain() -> None:
@@ -207,11 +207,11 @@ def test_a_verdict_says_how_many_of_the_plausible_points_agree_and_of_all_where_
         found = column(document, "evaluation-results", "agreeing")
         assert found == (["8 of 10", "2 of 10", None] if plausible else ["60 of 80", "20 of 80", None])
     assert "10 are plausible: each of the 24 cells" in told[10]
-    assert "In all 10 plausible sets of constants 1 of 2 differences of means have the paper's sign." in told[10]
-    assert "The others have it in some of them: policy violations of FSAR and CFC (9)." in told[10]
+    assert "In all 10 plausible sets of constants, 1 of 2 differences of means have the paper's sign." in told[10]
+    assert "The others have it in some of these sets: policy violations of FSAR and CFC (9)." in told[10]
     assert "none is plausible: each of the 24 cells" in told[0]
-    assert "_Agree_ therefore says with how many of all" in told[0]
-    assert "What most of the others miss: " in told[0]
+    assert "So _Agree_ counts over all of them" in told[0]
+    assert "What these sets miss most often: " in told[0]
 
 
 def test_the_results_of_the_studies_are_read_where_they_are_of_the_runs(tmp_path: Path) -> None:
@@ -330,7 +330,7 @@ def test_a_pairwise_test_comes_out_where_pairs_like_the_papers_could_have_printe
         strict=True,
     )
     assert [chance for metric, chance in shown if metric == "governance_locality"] == ["0.3000", "0 of 4,000", "–"]
-    assert "Of 2 printed effect sizes 100 pairs of ours could have printed 1" in said(document)
+    assert "Of 2 printed effect sizes, 100 pairs of ours could have printed 1." in said(document)
 
 
 def claim(

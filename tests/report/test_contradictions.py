@@ -62,12 +62,12 @@ def paper() -> Document:
         ("printed-p", "Of the 9 values of $p$ that are printed as numbers, 4 do not follow from their $t$"),
         ("printed-p", "0.00480 to 0.00495 from $t = 2.88$ (printed 0.0047)"),
         ("printed-p", "All 9 follow with 112 to 135 degrees of freedom"),
-        # 0.05, 0.42 and 0.12 times the root of 50 are 0.354, 2.970 and 0.849, near 0.33, 2.93 and 0.88; 2.91 gives 20.58
+        # 0.05, 0.42 and 0.12 times the root of 50 are 0.35, 2.97 and 0.85, near 0.33, 2.93 and 0.88; 2.91 gives 20.58
         ("printed-p", "which rounding allows for 3 of the 24 printed $t$ and $d$."),
         # (5 * 0.69 - 0.3) / 4
         ("worked-locality", "3 / 10 = 0.30$. If other runs of Scenario 1 are like it, the other 4 scenarios average"),
         ("worked-locality", "= 0.79$: Scenario 1 lowers the aggregate"),
-        ("worked-locality", "exception is a recovery escalation\", but failures are injected in Scenarios 3 and 5 alone."),
+        ("worked-locality", 'escalation", but failures are injected in Scenarios 3 and 5 alone.'),
         ("caption", "as Workflow 2."),
         ("caption", "is captioned Workflow 3."),
     ],

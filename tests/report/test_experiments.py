@@ -189,7 +189,7 @@ def test_the_cost_of_coordination_says_where_an_architecture_breaks() -> None:
     rows = [cost(name, size, 0.4 if name == "cfc" else 1.0) for size in (4, 64) for name in ("fsar", "cfc", "dhma")]
     document = Document(made(costs=rows))
     found = said(document)
-    assert "FSAR does not break up to 64 robots (100 %), CFC breaks at 4 robots (40 %)" in found
+    assert "FSAR does not break up to 64 robots (100 % in time), CFC breaks at 4 robots (40 % in time)" in found
     whole = Document(made(costs=[row | {"completed": 1.0} for row in rows]))
     assert whole.drawings["coordination-cost.svg"] != document.drawings["coordination-cost.svg"]
 

@@ -197,7 +197,7 @@ def parts() -> Iterator[tuple[str, specs.AnyPart]]:
 
 def test_the_table_of_cases_says_where_the_paper_has_words_and_no_number() -> None:
     (caption,) = (part.caption for _, part in parts() if isinstance(part, specs.Table) and part.name == "cases")
-    assert "of case 1, and of FSAR in case 4, it has words alone" in caption
+    assert "case 1, and FSAR in case 4, have only words" in caption
 
 
 def test_every_table_and_figure_has_a_name_of_its_own_a_caption_and_a_query_that_is_there() -> None:
@@ -236,6 +236,6 @@ def test_a_text_names_only_what_is_shown(make_ledger: Callable[..., Path]) -> No
     """Larger fleets alone have no figure of costs by size; the sentence on costs stands without it."""
     document = Document(gather(make_ledger(fleet_size=8)))
     assert "coordination-cost" not in names(document, "figure")
-    assert "What each request takes is counted here (@tab-coordination-cost)." in said(document)
+    assert "Here is counted what each request takes (@tab-coordination-cost)." in said(document)
     assert "@fig-coordination-cost" not in said(document)
     assert "@tab-evaluation-results" not in said(document), "the whole sentence is left out"

@@ -80,7 +80,7 @@ def test_the_smallest_combinations_under_which_fsar_is_not_the_best_are_named() 
 @pytest.mark.parametrize(
     ("other", "counts"),
     [
-        ((0.05, 0.3, 0.2), "1 of 1 metrics, under some by 0, under none by 0"),
+        ((0.05, 0.3, 0.2), "1 of 1 metrics, under some by 0, and under none by 0"),
         ((0.35, 0.3, 0.2), "0 of 1 metrics, under some by 1,"),
     ],
 )
@@ -90,6 +90,13 @@ def test_the_sentences_count_by_how_many_metrics_fsar_is_best_under_all_some_and
     assert counts in said(report({(): (0.1, 0.3, 0.2), NAMES[:1]: other}))
     assert "under none by 1" in said(report({(): (0.6, 0.3, 0.2)}))
     assert "every-reading" not in names(Document(made()), "table")
+
+
+def test_no_ranking_of_three_is_counted_where_one_architecture_has_runs() -> None:
+    alone = report({(): (0.1, None, None), NAMES[:1]: (0.2, None, None)})
+    assert "best of the three" not in said(alone)
+    assert "rankings" not in names(alone, "table")
+    assert "every-reading" in names(alone, "table")
 
 
 @pytest.mark.slow  # all combinations of all metrics

@@ -218,7 +218,7 @@ def test_a_record_of_the_fit_is_read_and_typeset_whatever_part_is_missing(
     document = Document(findings, packaged(Calibration, tmp_path))
     assert build.pdf(document.encoded(), document.drawings).startswith(b"%PDF")
     if missing is None:
-        assert "1 constants were moved so that the means come near" in said(document)
+        assert "1 constant was moved so that the means come near" in said(document)
         assert "It went from 40.50 to 12.25." in said(document)
         assert "The cells identify 1 of 1 directions." in said(document)
         columns = [

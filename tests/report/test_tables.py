@@ -317,7 +317,7 @@ def test_workflows_of_another_seed_have_no_part_in_the_table(make_ledger: Make, 
         writer.append(stage(several, [other]))
     alone, found = (Document(gather(ledger, beside={path: None})) for path in (ours, several))
     assert "have no part in the table" not in said(alone)
-    assert "Of these 1 made with another seed" in said(found)
+    assert "Of these, 1 that was made with another seed" in said(found)
     assert part(alone, "mechanism-coverage")["rows"] == part(found, "mechanism-coverage")["rows"]
 
 

@@ -34,14 +34,14 @@ MEASURED = [
 
 def test_what_the_abstract_says_of_all_scenarios_is_counted_scenario_by_scenario() -> None:
     found = said(Document(made(measured=MEASURED)), "in-all-scenarios")
-    assert "of 5 it has the fewest conflicts in 4, and the fewest violations in 5." in found
+    assert "Here it has the fewest conflicts in 4 of 5, and the fewest violations in 5." in found
 
 
 def test_what_the_text_says_of_scenarios_stands_beside_ours() -> None:
     found = said(Document(made(measured=MEASURED)), "said-of-scenarios")
-    assert "an SD of 9.8 and 4.9 % over scenarios: ours is 4.5 and 22.4 %." in found, "0.1 and 0.5 over the root of 5"
-    assert "ours is 0.701 and 0.702 there, and 0.703, 0.704 and 0.705 in the others." in found
-    assert "is lowest in mixed trust inspection and failure recovery chain." in found
+    assert "an SD of 9.8 and 4.9 %; here it is 4.5 and 22.4 %." in found, "0.1 and 0.5 over the root of 5"
+    assert "here it is 0.701 and 0.702 there, and 0.703, 0.704 and 0.705 in the others." in found
+    assert "it is lowest in mixed trust inspection and failure recovery chain." in found
     four = [row for row in MEASURED if row["scenario"] != "door-relay"]
     assert not said(Document(made(measured=four)), "said-of-scenarios"), "it speaks of five scenarios"
 
@@ -49,7 +49,9 @@ def test_what_the_text_says_of_scenarios_stands_beside_ours() -> None:
 def test_levels_of_significance_of_both_tests_are_compared() -> None:
     tests = [paired("governance_locality", pair, 0.1, p=0.02) for pair in ("fsar-cfc", "fsar-dhma", "cfc-dhma")]
     both = [msgspec.structs.replace(one, wilcoxon_p=p) for one, p in zip(tests, (0.04, 0.009, 0.011), strict=True)]
-    assert "at 0.05, 0.01 and 0.001 2 of 3 do." in said(Document(made(tests=both)), "wilcoxon-levels")
+    assert "at 0.05, 0.01 and 0.001, those of 2 of 3 tests agree." in said(
+        Document(made(tests=both)), "wilcoxon-levels"
+    )
 
 
 def test_numbers_that_move_with_the_open_dial_are_named_though_registered_otherwise() -> None:
@@ -78,7 +80,7 @@ def test_places_on_the_curve_of_the_load_are_said_to_be_so_far_apart() -> None:
         for teams, mean in zip((1, 4), ends, strict=True)
     ]
     rows = [row | {"ci_low": None, "ci_high": None} for row in loads]
-    assert "They are 1.0 teams apart at most." in said(Document(made(numbers, loads=rows))), "at 2.0 and 3.0"
+    assert "They are at most 1.03 teams apart." in said(Document(made(numbers, loads=rows))), "at 2.00 and 3.03"
 
 
 def test_every_registered_class_is_explained_where_numbers_are_counted_by_class() -> None:

@@ -70,7 +70,7 @@ def report(model: str | None, parameters: dict[str, str], given: Sensitivity) ->
 def test_a_report_has_the_effects_of_its_runs_or_says_how_to_make_them(found: Sensitivity) -> None:
     there = report(MODEL_VERSION, OWN, found)
     assert column(there, "sensitivity", "factor") == list(found.dozen)
-    assert "1 of them move nothing" in said(there)
+    assert "1 of them moves nothing" in said(there)
     absent = constants(setting(factors(), {"world.absence_s": 0.0}).constants)
     another_model = r"found effects of model .*, expected those of model {}; make them again"
     for model, parameters, why in (
