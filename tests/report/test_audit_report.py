@@ -103,6 +103,14 @@ def blind(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return ledger
 
 
+@pytest.mark.slow
+def test_denials_of_own_steps_are_no_denials_of_requests(tmp_path: Path) -> None:
+    simulate(tmp_path / "own", architecture=["jade"], scenario="collaborative-delivery", runs=2, workers=1)
+    document = audit_of(tmp_path / "own")
+    assert "own step" in column(document, "denials", "reason")
+    assert "as one request may meet several, and own steps are denied too" in said(document, "answer")
+
+
 @cache
 def audit_of(ledger: Path) -> AuditDocument:
     """What the report says of a ledger that no test changes, made once."""
