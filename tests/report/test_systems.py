@@ -37,7 +37,7 @@ def test_a_number_that_is_the_same_in_every_run_is_marked_and_has_its_reason() -
     human = [cell for cell in column(document, "systems", "jade") if cell.endswith("†")]
     assert human == ["0.0†"] * 3
     assert not any(cell.endswith("†") for cell in column(document, "systems", "fsar"))
-    assert "Human (%) of JADE: there is no supervisor to call." in said(document)
+    assert "Human (%) of JADE (there is no supervisor to call)." in said(document)
 
 
 def test_no_reason_says_that_fsar_names_a_supervisor_who_is_off_shift() -> None:
