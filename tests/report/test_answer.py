@@ -238,7 +238,7 @@ def test_the_negative_control_stands_beside_the_tests(findings: Findings) -> Non
     assert "negative-control" not in names(Document(findings), "table")
     tests = (("governance_locality", "p"), ("governance_locality", "wilcoxon_p"), ("any", "p_holm"))
     document = Document(findings, robustness=robustness_relations(control=placebo(*tests)))
-    assert "9 pairs of runs met the same world, and the largest mean difference of any metric is 0" in said(document)
+    assert "9 pairs of runs met the same world, the largest mean difference of any metric is 0" in said(document)
     shown = [column(document, "negative-control", key) for key in ("t", "wilcoxon", "mcnemar", "holm")]
     assert shown == [["0.050 (0.020 to 0.110)", None]] * 2 + [[None, None], [None, "0.050 (0.020 to 0.110)"]]
     none = placebo(("audit_attributability", "p"))
