@@ -123,16 +123,6 @@ def test_a_ranking_without_tests_is_undecided_and_those_that_are_alike_hold_with
     assert column(apart, "claims", "holds")[0] is False, "FSAR and CFC are no longer alike"
 
 
-def test_the_paper_ranks_by_all_its_measures_whatever_the_ledger_holds() -> None:
-    lost = {f"recovery_containment__{name}": None for name in ("fsar", "cfc", "dhma")}
-    numbers = results(**lost)
-    document = Document(made(numbers, pairs_of(numbers)))
-    assert column(document, "claims", "holds") == [True, True, None, *[True] * 5]
-    found = said(document, "answer")
-    assert "by 8 measures; " in found
-    assert "7 of these rankings come out, and that by recovery containment cannot be decided" in found
-
-
 def test_alike_ones_that_too_few_runs_put_apart_are_undecided() -> None:
     numbers = results(coordination_success__fsar=0.80)
     document = Document(made(numbers, [msgspec.structs.replace(one, p_holm=0.4) for one in pairs_of(numbers)]))

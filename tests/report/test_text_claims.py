@@ -8,7 +8,7 @@ from fsar_ledger.metrics.registration import registration
 from fsar_ledger.report import specs
 from fsar_ledger.report.build import Document
 from fsar_ledger.report.judge import OPEN
-from tests.report.made import made, number, paired, said
+from tests.report.made import column, made, number, paired, pairs_of, results, said
 
 SCENARIOS = (
     *("door-relay", "collaborative-delivery", "failure-recovery-chain", "mixed-trust-inspection", "fleet-contention"),
@@ -81,6 +81,16 @@ def test_places_on_the_curve_of_the_load_are_said_to_be_so_far_apart() -> None:
     ]
     rows = [row | {"ci_low": None, "ci_high": None} for row in loads]
     assert "They are at most 1.03 teams apart." in said(Document(made(numbers, loads=rows))), "at 2.00 and 3.03"
+
+
+def test_the_paper_ranks_by_all_its_measures_whatever_the_ledger_holds() -> None:
+    lost = {f"recovery_containment__{name}": None for name in ("fsar", "cfc", "dhma")}
+    numbers = results(**lost)
+    document = Document(made(numbers, pairs_of(numbers)))
+    assert column(document, "claims", "holds") == [True, True, None, *[True] * 5]
+    found = said(document, "answer")
+    assert "by 8 measures; " in found
+    assert "7 of these rankings come out, and that by recovery containment cannot be decided" in found
 
 
 def test_every_registered_class_is_explained_where_numbers_are_counted_by_class() -> None:
