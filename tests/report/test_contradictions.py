@@ -56,7 +56,7 @@ def paper() -> Document:
         ("two-full-systems", "4 of the 6 means that both tables print differ"),
         ("two-full-systems", "policy violations 0.40 and 0.46"),
         # 1.18 - 1.04 and 0.46 - 0.40 against 0.03 and 0.01; success 95 - 93 against 1.9 and what rounding leaves
-        ("two-full-systems", "not so far in authority conflicts and policy violations."),
+        ("two-full-systems", "does not explain those of authority conflicts and policy violations."),
         ("growth", 'match "super-linear conflict growth" under "Scaling analysis"'),
         ("growth", "16, 32, 64 agents for 4, 8, 16 robots (exponent 1.00)"),
         ("growth", f"= {math.log(14.1 / 8.1) / math.log(4):.2f}$, which is sub-linear"),
