@@ -26,6 +26,7 @@ from tests.report.made import (
     DIFFERENCE,
     HEAD,
     ensemble,
+    made,
     names,
     of_table,
     placebo,
@@ -152,6 +153,26 @@ def test_the_report_has_at_most_eighteen_pages_and_none_but_the_last_is_a_quarte
     gaps = [widest_gap(imread(io.BytesIO(page))[..., :3].min(axis=2)) for page in drawn]
     assert 5 < len(gaps) <= MOST_PAGES
     assert max(gaps[:-1]) < 0.25, [f"page {number}: {gap:.0%}" for number, gap in enumerate(gaps, 1) if gap >= 0.25]
+
+
+@pytest.mark.slow
+def test_a_group_stays_on_one_page_with_its_name(tmp_path: Path) -> None:
+    import typst
+
+    cells = [("group" if row % 5 == 0 else "", f"{row // 5}") for row in range(60)]
+    rows = ", ".join(f'({", ".join(f"""(printed: "{text}", tone: "code")""" for text in row)})' for row in cells)
+    looks = 'name: "t", title: "", caption: "", source: "", size: 8, heads: ("", ""), aligns: ("left", "left")'
+    table = f"({looks}, rows: ({rows}), begins: {tuple(range(5, 60, 5))})"
+    found = "#context [#metadata(query(raw).map(it => (it.text, it.location().page()))) <cells>]"
+    (tmp_path / "data.json").write_bytes(Document(made()).encoded())
+    for above in (100, 104, 108, 112, 116):  # mm, so that the page ends below any row of a group
+        template = specs.text("templates", "report.typ").split("#align(center)")[0]
+        (tmp_path / "report.typ").write_text(f"{template}#v({above}mm)\n#booktab({table})\n{found}")
+        raws = msgspec.json.decode(typst.query(tmp_path / "report.typ", "<cells>", field="value", one=True))
+        pages = [{page for text, page in raws if text == f"{group}"} for group in range(12)]
+        assert [len(one) for one in pages] == [1] * 12
+        assert {page for one in pages for page in one} == {1, 2}
+        assert [page for text, page in raws if text == "group"] == [min(one) for one in pages]
 
 
 def test_a_gap_is_measured_where_nothing_stands() -> None:
