@@ -23,6 +23,7 @@ from fsar_ledger.ledger.rows.grammar import Footer
 from fsar_ledger.ledger.rows.schema import SCHEMA, fingerprint
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.segments import names_in
 from fsar_ledger.ledger.verify import segment as verify_segment
 from fsar_ledger.ledger.verify import verify
 from fsar_ledger.ledger.verify.chain import BEHIND
@@ -108,6 +109,31 @@ def test_a_ledger_that_lacks_its_segments_is_damaged_to_whoever_reads_or_writes_
         with pytest.raises(LedgerCorrupted, match=r"segments: it cannot be read \(No such file or directory\); permit"):
             use(path)
     assert not verify(path).ok
+
+
+def test_a_file_that_is_a_link_is_said_to_be_one_and_not_many(path: Path, tmp_path: Path) -> None:
+    for name in ("chain.jsonl", "ledger.json"):
+        (path / name).rename(tmp_path / "aside")
+        (path / name).symlink_to(tmp_path / "aside")
+        with pytest.raises(LedgerCorrupted, match=rf"{name}: it cannot be read \(it is a link\); permit"):
+            open_checked(path)
+        (path / name).unlink()
+        (tmp_path / "aside").rename(path / name)
+
+
+def test_what_cannot_be_read_is_told_once_in_words_and_not_by_the_name_of_an_exception(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (path / "nodes").unlink()
+    (path / "nodes").mkdir()
+    assert [problem.where for problem in verify(path).problems] == ["nodes", "nodes"]  # what it is; that it is unread
+    (path / "chain.jsonl").unlink()
+    (path / "chain.jsonl").mkdir()
+    *_, last = verify(path).problems
+    assert last.found.startswith(f"{path}/chain.jsonl: it cannot be read (it is not a regular file); permit")
+    monkeypatch.setattr(disk, "MAX_NAMES", 1)
+    with pytest.raises(LedgerCorrupted, match=r"segments: it cannot be read \(it holds more than 1 names\)"):
+        names_in(path / "segments")
 
 
 def test_a_segment_that_is_missing_is_named_with_the_words_of_the_system(path: Path) -> None:

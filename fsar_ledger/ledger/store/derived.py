@@ -30,14 +30,12 @@ from fsar_ledger.ledger.store.paths import CHAIN, INDEX, NODES
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.record import Count, Placement
 
-_READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
-
 
 def read_node(ledger: Path, place: int) -> bytes:
     """Return the hash at this position of the pack. Raises: LedgerCorrupted if it is missing."""
     path = ledger / NODES
     try:
-        handle = os.open(path, _READ)
+        handle = disk.open_to_read(path)
         try:
             node = os.pread(handle, HASH_BYTES, place * HASH_BYTES)
         finally:

@@ -31,12 +31,22 @@ MAX_NAMES = 1 << 20
 """The most names read of a folder; far more than any ledger's commits."""
 
 
+def open_to_read(path: Path | str) -> int:
+    """Open a file for reading, without waiting for a pipe's writer. Raises: OSError; also for a link."""
+    try:
+        return os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError as error:
+        if error.errno == errno.ELOOP:  # the system says "too many levels of symbolic links"
+            raise OSError(error.errno, "it is a link", str(path)) from error
+        raise
+
+
 def read_document(path: Path | str) -> bytes:
     """Read a small regular file.
 
     Raises: OSError if it is missing, not a regular file (a link is not), too large or unreadable.
     """
-    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    handle = open_to_read(path)
     try:
         if not stat.S_ISREG(os.fstat(handle).st_mode):
             raise OSError(0, "it is not a regular file")
@@ -50,7 +60,7 @@ def read_large(path: Path | str, most: int, start: int = 0, count: int | None = 
 
     Raises: OSError if it is missing, not a regular file (a link is not), larger or unreadable.
     """
-    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    handle = open_to_read(path)
     try:
         status = os.fstat(handle)
         if not stat.S_ISREG(status.st_mode):

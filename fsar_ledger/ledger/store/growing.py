@@ -32,7 +32,7 @@ def inode_of(path: Path | str) -> int:
 def read_at(path: Path | str, place: int, most: int) -> bytes:
     """Read at most `most` bytes at offset `place` of a file; none if there is no file. Raises: OSError."""
     try:
-        handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        handle = disk.open_to_read(path)
     except FileNotFoundError:
         return b""
     try:

@@ -70,4 +70,5 @@ def unexpected(where: str, commit: int | None, error: BaseException) -> Problem:
     """
     if isinstance(error, (MemoryError, ImportError, InvalidQuery)) or type(error) is UsageError:
         raise error
-    return Problem(where, f"{type(error).__name__}: {error!s:.300}", "data that can be checked", commit=commit)
+    what = "" if isinstance(error, FsarLedgerError) else f"{type(error).__name__}: "
+    return Problem(where, f"{what}{error!s:.300}", "data that can be checked", commit=commit)

@@ -21,7 +21,6 @@ from fsar_ledger.ledger.store.paths import MANIFEST, STAGING, staged_file
 from fsar_ledger.ledger.store.problem import Problem, refusal, unexpected
 
 MISSING = "nothing"
-_NO_LINK = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
 
 
 class Stored(Protocol):
@@ -106,7 +105,7 @@ def read_segment(
     """
     said_by = names.said_by
     try:
-        handle = os.open(f"{ledger}/{file}", _NO_LINK)
+        handle = disk.open_to_read(f"{ledger}/{file}")
         with open(handle, "rb") as stream:
             problem = _unfit(file, number, record, os.fstat(handle), said_by)
             if problem is not None:
@@ -126,12 +125,14 @@ def read_segment(
 def names_in(folder: Path) -> list[str]:
     """Return the sorted names in a folder; none if it is missing or a link.
 
-    Raises: OSError if it cannot be read or holds too many names.
+    Raises: LedgerCorrupted if it cannot be read or holds too many names.
     """
     try:
         return [entry.name for entry in disk.entries(folder)] if stat.S_ISDIR(os.lstat(folder).st_mode) else []
     except FileNotFoundError:
         return []
+    except OSError as error:
+        raise disk.unreadable(folder, error) from error
 
 
 def check_manifest(ledger: Path) -> tuple[str | None, bytes | None, Problem | None]:

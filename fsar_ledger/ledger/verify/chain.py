@@ -256,13 +256,15 @@ class Verification:
 
     def _compare_nodes(self, first: int, nodes: bytes, *, is_needed: bool) -> None:
         """Compare these hashes with those in the pack from event `first` on."""
+        if any(problem.where == NODES for problem in self.derived):
+            return
         start = pack.count(first) * HASH_BYTES
         try:
             actual = growing.read_at(self.path / NODES, start, len(nodes))
         except OSError as error:
             self.derived.append(Problem(NODES, f"an unreadable file ({error.strerror})", "the pack of the tree"))
             return
-        if actual == nodes or not is_needed or any(problem.where == NODES for problem in self.derived):
+        if actual == nodes or not is_needed:
             return
         mismatch = next(
             offset
