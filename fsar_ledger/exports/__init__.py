@@ -145,7 +145,7 @@ NAMING: Mapping[str, str] = {
 """The role of what each column names, of the columns that name something."""
 
 
-_DELTA, _TILES = "writing a Delta table", "writing tiles"
+_DELTA, _TILES, _OUTCOME = "writing a Delta table", "writing tiles", "nothing was left there"
 
 
 def _require_free(out: Path) -> None:
@@ -160,10 +160,10 @@ def _whole_folder(out: Path, doing: str) -> Iterator[Path]:
     """Yield a new folder, which is moved to this path once complete; else nothing is left. Raises: WriteFailed."""
     work = disk.temporary_name(out)
     try:
-        with disk.refusals(out, doing):
+        with disk.refusals(out, doing, _OUTCOME):
             work.mkdir(parents=True)
         yield work
-        with disk.refusals(out, doing):
+        with disk.refusals(out, doing, _OUTCOME):
             os.rename(work, out)
     except BaseException:
         shutil.rmtree(work, ignore_errors=True)
@@ -199,7 +199,7 @@ def _put_segment(view: View, number: int, work: Path, out: Path) -> bool:
     """Put this segment into the folder; return whether it is a link into the ledger. Raises: As `write_delta`."""
     segment = view.segment(number)
     file = work / Path(segment_name(view.first(number), view.end(number))).name
-    with disk.refusals(out, _DELTA):
+    with disk.refusals(out, _DELTA, _OUTCOME):
         try:
             os.link(segment, file)
         except OSError:  # another file system, or one without links
@@ -248,14 +248,14 @@ def write_tiles(view: View, out: Path, progress: Progress | None) -> int:
             )
         count += _write_files(work, out, {tile: edge.partial[tile.level] for tile in partial_tiles(edge.size)})
         if (note := view.note()) is not None:
-            with disk.refusals(out, _TILES):
+            with disk.refusals(out, _TILES, _OUTCOME):
                 (work / CHECKPOINT).write_bytes(str(note).encode())
     return count
 
 
 def _write_files(work: Path, out: Path, tiles: dict[Tile, bytes]) -> int:
     """Write these tiles. Raises: WriteFailed."""
-    with disk.refusals(out, _TILES):
+    with disk.refusals(out, _TILES, _OUTCOME):
         for tile, data in tiles.items():
             file = work / tile.name
             file.parent.mkdir(parents=True, exist_ok=True)

@@ -65,13 +65,13 @@ class State:
             WriteFailed: The disk refused; the cosignature must not be sent.
         """
         path = self.folder / LOGS / origin_hash(note.checkpoint.origin)
-        with disk.refusals(path, "remembering a checkpoint"):
+        with disk.refusals(path, "remembering a checkpoint", "nothing was cosigned"):
             disk.write_durably(path, str(note).encode())
         self._newest[note.checkpoint.origin] = note
 
 
 def new_state(folder: Path, name: str) -> WitnessKey:
-    """Create the folder of a new witness, with a new key and no checkpoints.
+    """Create the folder of a new witness, with a new key and no checkpoints, or finish what was interrupted.
 
     Raises:
         UsageError: The name is not valid for a key, or the folder is not empty; it is left unchanged.
@@ -84,9 +84,9 @@ def new_state(folder: Path, name: str) -> WitnessKey:
         )
     secret = os.urandom(KEY_BYTES)
     key = Cosigner(name, secret).key
-    with disk.refusals(folder, "making a witness"):
+    with disk.refusals(folder, "making a witness", "no witness was made"):
         disk.make_folder(folder)
-        if os.listdir(folder):
+        if not _is_unfinished(folder):
             raise UsageError(
                 f"{folder}: found files in it, expected a new or empty folder; a witness is never overwritten"
             )
@@ -94,6 +94,12 @@ def new_state(folder: Path, name: str) -> WitnessKey:
         disk.write_durably(folder / PUBLIC, f"{key}\n".encode())
         disk.write_secret(folder / SECRET, secret_text(key, secret).encode())  # last: without it there is no witness
     return key
+
+
+def _is_unfinished(folder: Path) -> bool:
+    """Return whether nothing is in this folder but what an interrupted `new_state` leaves, before the secret key."""
+    names = {name for name in os.listdir(folder) if not name.endswith(disk.TEMPORARY)}
+    return names <= {PUBLIC, LOGS} and (LOGS not in names or not os.listdir(folder / LOGS))
 
 
 @contextmanager
@@ -119,7 +125,7 @@ def open_state(folder: Path) -> Iterator[State]:
 
 
 def _locked(folder: Path) -> int:
-    with disk.refusals(folder, "locking"):
+    with disk.refusals(folder, "locking", "nothing was cosigned"):
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,3 +1,4 @@
+import errno
 import os
 import shutil
 import stat
@@ -8,6 +9,7 @@ import pytest
 
 from fsar_ledger.base.errors import LedgerCorrupted, UsageError, WriteFailed
 from fsar_ledger.ledger.log.note import Note
+from fsar_ledger.ledger.store import disk
 from fsar_ledger.witness import Request, origin_hash, parse_vkey
 from fsar_ledger.witness.server import Service
 from fsar_ledger.witness.state import new_state, open_state
@@ -48,6 +50,26 @@ def test_a_witness_is_made_once_and_in_an_empty_folder(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(WriteFailed, match="making a witness failed"):
         new_state(tmp_path / "file" / "w", "w")
+
+
+def test_a_witness_whose_making_the_disk_refused_is_made_by_the_same_call_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as refusing:
+        refusing.setattr(disk, "write_secret", full)
+        with pytest.raises(WriteFailed, match="making a witness failed: No space left on device; no witness was made"):
+            new_state(tmp_path / "w", "w")
+    assert os.listdir(tmp_path / "w") != []
+    key = new_state(tmp_path / "w", "w")
+    with open_state(tmp_path / "w") as state:
+        assert state.cosigner.key == key
+    (tmp_path / "w" / "witness.key").unlink()
+    (tmp_path / "w" / "logs" / origin_hash(ORIGIN)).write_text("what it cosigned")
+    with pytest.raises(UsageError, match="never overwritten"):
+        new_state(tmp_path / "w", "w")
 
 
 def test_what_was_cosigned_is_known_after_a_restart(tmp_path: Path) -> None:

@@ -123,8 +123,8 @@ class Uncertain(OSError):
     """The disk refused a commit and then its removal, so the commit may exist later."""
 
 
-def refusal(path: Path, doing: str, error: OSError) -> WriteFailed:
-    """Return the error for an operation that the disk refused."""
+def refusal(path: Path, doing: str, error: OSError, outcome: str = "this commit was not made") -> WriteFailed:
+    """Return the error for an operation that the disk refused, with its outcome."""
     reason = error.strerror or str(error)
     if isinstance(error, Uncertain):
         return WriteFailed(
@@ -132,18 +132,17 @@ def refusal(path: Path, doing: str, error: OSError) -> WriteFailed:
             "writing there, open the ledger again, and append what it lacks"
         )
     return WriteFailed(
-        f"{path}: {doing} failed: {reason}; this commit was not made; make room or permit writing there, and run it "
-        "again"
+        f"{path}: {doing} failed: {reason}; {outcome}; make room or permit writing there, and run it again"
     )
 
 
 @contextmanager
-def refusals(path: Path, doing: str) -> Iterator[None]:
-    """Turn an OSError inside into WriteFailed."""
+def refusals(path: Path, doing: str, outcome: str = "this commit was not made") -> Iterator[None]:
+    """Turn an OSError inside into WriteFailed, which says the outcome."""
     try:
         yield
     except OSError as error:
-        raise refusal(path, doing, error) from error
+        raise refusal(path, doing, error, outcome) from error
 
 
 def sync_folder(folder: Path) -> None:

@@ -29,7 +29,7 @@ def new_key(path: Path, name: str) -> VerifierKey:
     secret = os.urandom(KEY_BYTES)
     verifier = Signer(name, secret).verifier
     text = f"{_SECRET}+{verifier.key}+{base64.b64encode(ED25519 + secret).decode()}\n"
-    with disk.refusals(path, "writing a key"):
+    with disk.refusals(path, "writing a key", "no key was made"):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             disk.write_secret(path, text.encode())

@@ -271,7 +271,7 @@ def recover(
         if trusted.is_whole:
             return Recovery("whole", trusted.head, anchored=trusted.anchored, report=trusted.report)
         mending = _Mending(path)
-        with disk.refusals(path, "mending"):
+        with disk.refusals(path, "mending", "what was mended stays"):
             mend(trusted, mending.set_aside, mending.did)
             for folder in (path, path / SEGMENTS) if mending.steps else ():
                 disk.sync_folder(folder)
@@ -313,7 +313,7 @@ def _require_free(path: Path, into: Path | None) -> None:
 @contextmanager
 def _alone(path: Path) -> Iterator[None]:
     """Lock out writers, if the file system has locks. Raises: WriteFailed if one is active, or locking fails."""
-    with disk.refusals(path, "locking"):
+    with disk.refusals(path, "locking", "nothing was changed"):
         handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY)  # not ledger.json, which may be missing or replaced
     try:
         _lock(path, handle)
@@ -382,7 +382,7 @@ def _copy(
     if note is not None and note.checkpoint.size > trusted.head.size:
         asked = msgspec.structs.replace(asked, anchor=None)
     try:
-        with disk.refusals(into, "copying the trusted commits"):
+        with disk.refusals(into, "copying the trusted commits", "nothing was copied"):
             disk.make_folder(into.parent)
             write_copy(trusted, work)
         report = verify(work, workers, progress, asked)
@@ -391,7 +391,7 @@ def _copy(
                 f"{report.problems[0]}\n{path}: found other files than a moment ago, expected no other writer; "
                 "run it again"
             )
-        with disk.refusals(into, "naming the new ledger"):
+        with disk.refusals(into, "naming the new ledger", "nothing was copied"):
             os.rename(work, into)
             disk.sync_folder(into.absolute().parent)
     except BaseException:
