@@ -11,7 +11,7 @@ from fsar_ledger.ledger.store.paths import CHAIN, NODES
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify import recover, verify
 from fsar_ledger.ledger.verify.report import Anchor, VerifyOptions, VerifyReport, read_anchor
-from fsar_ledger.ledger.verify.trusted import FITS, NO_SEGMENT
+from fsar_ledger.ledger.verify.trusted import NO_SEGMENT, ROWS_FIT
 from tests.ledger.agreement_chain import anchor_at, records_of, relink, rewrite, tables_of
 from tests.ledger.forgery import changed
 from tests.ledger.samples import ORIGIN, made_up_run
@@ -106,7 +106,7 @@ def test_recover_says_what_each_later_commit_shows_alone(damaged: Path) -> None:
     (of_segment, of_journal) = recover(damaged).later
     assert (of_segment.number, of_segment.found, of_segment.file) == (2, NO_SEGMENT, f"segments/{name}")
     assert f'"segment_sha256":"{of_segment.restore}"' in (damaged / CHAIN).read_text()
-    assert (of_journal.number, of_journal.found, of_journal.file) == (3, FITS, None)
+    assert (of_journal.number, of_journal.found, of_journal.file) == (3, ROWS_FIT, None)
 
 
 def test_recover_says_that_another_history_vouches_for_nothing(damaged: Path, tmp_path: Path) -> None:

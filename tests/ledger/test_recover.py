@@ -13,7 +13,9 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import JOURNAL
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify import recover, verify
-from tests.ledger.damage import LEDGERS, write_closed
+from fsar_ledger.ledger.verify.report import VerifyOptions
+from fsar_ledger.ledger.verify.trusted import NO_ROWS
+from tests.ledger.damage import LEDGERS, SIGNER, write_closed
 from tests.ledger.forgery import segment_at, staged_at
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
 from tests.quick import few
@@ -109,6 +111,38 @@ def test_what_the_journal_holds_counts_whatever_else_is_mended(tmp_path: Path) -
     (tmp_path / "ledger" / "stray").write_bytes(b"?")
     found = recover(tmp_path / "ledger")
     assert (found.outcome, found.head.commits, found.head.root) == ("mended", head.commits, head.root)
+
+
+@pytest.mark.parametrize("is_sealed", [False, True])
+@pytest.mark.parametrize(
+    ("altered", "later"),
+    [
+        ((b'"run_id":"run-0005"', b'"run_id":"run-0009"'), [NO_ROWS, NO_ROWS]),  # a row; the last frame counts as torn
+        ((b'"kind":"commit","number":5', b'"kind":"commit","number":6'), []),  # a record: none after it is known
+    ],
+)
+def test_what_the_journal_holds_before_a_damage_is_trusted_and_copied(
+    tmp_path: Path, is_sealed: bool, altered: tuple[bytes, bytes], later: list[str]
+) -> None:
+    runs = [run for batch in BATCHES for run in batch]
+    with Writer(tmp_path / "ledger", ORIGIN, SIGNER) as writer:
+        for number, run in enumerate(runs):
+            writer.add([run])
+            if is_sealed and number == 1:
+                writer.seal()
+    root = open_ledger(tmp_path / "ledger").commits[4].tree_root
+    journal = tmp_path / "ledger" / "journal.jsonl"
+    journal.write_bytes(journal.read_bytes().replace(*altered, 1))
+    asked = VerifyOptions(trusted=SIGNER.verifier)
+    found = recover(tmp_path / "ledger", asked=asked)
+    assert (found.outcome, found.head.commits, found.head.root) == ("damaged", 5, root)
+    assert [commit.found for commit in found.later] == later
+    assert recover(tmp_path / "ledger", asked=asked, into=tmp_path / "new").outcome == "continued"
+    report = verify(tmp_path / "new", asked=asked)
+    assert (report.ok, report.commits, report.root, report.signed) == (True, 5, root, 5)
+    with Writer(tmp_path / "new", ORIGIN, SIGNER) as writer:
+        assert writer.add(runs[5:6]).commits == 6
+    assert verify(tmp_path / "new", asked=asked).ok
 
 
 def test_a_ledger_json_of_another_origin_gives_way_to_what_the_checkpoint_vouches_for(

@@ -252,15 +252,15 @@ class _Reading:
         return self._chain.tree().extend(leaves_in(self.frames)).root().hex() != self.frames[-1].commit.tree_root
 
     def _tell_first_wrong(self) -> None:
-        """Report the first frame with a wrong root, given that the last has one, and drop all frames."""
+        """Report the first frame with a wrong root, given that the last has one, and drop it and all later ones."""
         tree, wrong = self._chain.tree(), 0
         while tree.extend(self.frames[wrong].leaves).root().hex() == self.frames[wrong].commit.tree_root:
             tree = tree.extend(self.frames[wrong].leaves)
             wrong += 1
         self.problem = _wrong_rows(SEALING if wrong < self.sealing else JOURNAL, self.frames[wrong].commit)
         self.is_damage = True
-        self.frames.clear()
-        self.sealing = 0
+        del self.frames[wrong:]
+        self.sealing = min(self.sealing, wrong)
 
 
 def after_lines(text: bytes, at: int, count: int) -> int | None:

@@ -78,7 +78,7 @@ class Verification:
         self.path, self.asked = path, asked
         self.names: list[Problem] = []  # unknown files, and links
         self.problems: list[Problem] = []
-        self.events = self.done = 0
+        self.told = self.events = self.done = 0  # `told`: problems of the records, which frames before them do not have
         self.checkpoint: Problem | None = None  # only if the records themselves are whole
         self.derived: list[Problem] = []  # the first one of the pack, and of the index
         self.index: list[bytes] = []  # its lines; each empty if it differs from its placement
@@ -98,6 +98,7 @@ class Verification:
         view = open_chain(self.path, document, is_damage_told=False)
         chain = view.chain
         self.problems += [problem for problem in (view.followed.problem, view.journal.problem) if problem is not None]
+        self.told = len(self.problems)
         segments = [(placement.number, placement, Names(segment_of(placement), CHAIN)) for placement in chain.placed]
         facts = examine_all(self.path, segments, workers, self.asked.second_reader, is_quick=self.asked.is_quick)
         self.index = list(chain.index_lines(self._index_bytes(chain)))
@@ -116,7 +117,7 @@ class Verification:
         ]
         checkpoint = [self.checkpoint] if self.checkpoint is not None else []
         # An unknown name, and a checkpoint ahead of the records, say more than the problems that they cause.
-        self.problems = [*self.names, *checkpoint, *self.problems, *strays, *self.derived]
+        self.problems = [*self.names, *checkpoint, *self.problems, *strays, *dict.fromkeys(self.derived)]
         remarks = self._check_derived(view, is_behind=is_behind)
         return self._report(view, remarks)
 
@@ -225,7 +226,7 @@ class Verification:
                     self.roots[size] = self.tree.extend(frame.leaves[: (size - first) * HASH_BYTES]).root()
             self.tree = self.tree.extend(frame.leaves)
             self._compare_root(self.tree.size, self.tree.root(), commit, file)
-        if self.asked.is_quick or self.problems:
+        if self.asked.is_quick or len(self.problems) > self.told:
             return
         try:
             table = table_of(Path(file), frame.rows)
@@ -240,7 +241,7 @@ class Verification:
             )
             return
         self._follow(file, list(blocks_of(table)), [commit], commit.tree_size - commit.rows)
-        if not self.problems:
+        if len(self.problems) == self.told:
             self.events, self.done = self.events + commit.rows, self.done + 1
             if self.done == commit.number + 1:
                 self.trusted = (self.trusted[0], self.done)
@@ -256,15 +257,13 @@ class Verification:
 
     def _compare_nodes(self, first: int, nodes: bytes, *, is_needed: bool) -> None:
         """Compare these hashes with those in the pack from event `first` on."""
-        if any(problem.where == NODES for problem in self.derived):
-            return
         start = pack.count(first) * HASH_BYTES
         try:
             actual = growing.read_at(self.path / NODES, start, len(nodes))
         except OSError as error:
             self.derived.append(Problem(NODES, f"an unreadable file ({error.strerror})", "the pack of the tree"))
             return
-        if actual == nodes or not is_needed:
+        if actual == nodes or not is_needed or any(problem.where == NODES for problem in self.derived):
             return
         mismatch = next(
             offset

@@ -22,7 +22,7 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.derived import derived_sizes, line_of
 from fsar_ledger.ledger.store.links import Chain
 from fsar_ledger.ledger.store.manifest import FORMAT, VERSION, Manifest
-from fsar_ledger.ledger.store.paths import CHAIN, CHECKPOINT, INDEX, MANIFEST, NODES, SEGMENTS, STAGING
+from fsar_ledger.ledger.store.paths import CHAIN, CHECKPOINT, INDEX, JOURNAL, MANIFEST, NODES, SEGMENTS, STAGING
 from fsar_ledger.ledger.store.prepare import repair
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import View, open_chain
@@ -38,6 +38,8 @@ Done = Callable[[Did, str, str], None]
 
 FITS = "record and segment fit each other"
 NO_SEGMENT = "the segment is missing or not as its record says"
+ROWS_FIT = "record and rows fit each other"
+NO_ROWS = "rows are missing or not as the record says, or follow such rows"
 
 
 class Later(msgspec.Struct, frozen=True):
@@ -87,7 +89,9 @@ class TrustedPart(msgspec.Struct, frozen=True):
                 )
             else:
                 yield from (Later(commit, FITS) for commit in commits)
-        yield from (Later(commit, FITS) for commit in self._after(chain.placed_size, view.head.size))
+        whole = view.commits.up_to(chain.placed_size) + len(view.journal.frames)
+        for commit in self._after(chain.placed_size, view.head.size):
+            yield Later(commit, ROWS_FIT if commit < whole else NO_ROWS)
 
     def _after(self, first: int, end: int) -> range:
         """Return the commits after the trusted ones that end after index `first` and no later than `end`."""
@@ -125,7 +129,7 @@ def find_trusted(path: Path, workers: int, progress: Progress | None, asked: Ver
             commits -= 1
         while placements and view.chain.placed[placements - 1].end > _size(view, commits):
             placements -= 1
-    if problems:
+    if placements < len(view.chain.placed):
         commits = min(commits, view.commits.up_to(view.chain.placed[placements - 1].end if placements else 0))
     if _is_contradicted(view, verification, asked, commits):
         placements = commits = 0
@@ -338,9 +342,11 @@ def write_copy(trusted: TrustedPart, work: Path) -> None:
         lines.append(_relinked(_adding(placement, line), chain))
     if lines:
         growing.append_durably(work / CHAIN, b"".join(line + b"\n" for line in lines), 0)
-        disk.write_temporary(
-            work / CHECKPOINT, str(view.commits[trusted.commits - 1].note(view.manifest.origin)).encode()
-        )
+    frames = [frame for frame in view.journal.frames if frame.commit.number < trusted.commits]
+    if frames:
+        journal = b"".join(b"\n".join((_relinked(frame.commit, chain), frame.rows)) for frame in frames)
+        disk.write_temporary(work / JOURNAL, journal)
+    disk.write_temporary(work / CHECKPOINT, str(view.commits[trusted.commits - 1].note(view.manifest.origin)).encode())
     with Writer(work, view.manifest.origin, adopts=True):  # appends nothing
         pass  # derives the rest
 
