@@ -113,6 +113,15 @@ def test_what_the_journal_holds_counts_whatever_else_is_mended(tmp_path: Path) -
     assert (found.outcome, found.head.commits, found.head.root) == ("mended", head.commits, head.root)
 
 
+@pytest.mark.parametrize("first", [b'{"kind":"comm\xf4t"}\n', b'{"kind":' + b"[" * 5000 + b"\n", b"\xff\n"])
+def test_a_first_record_of_any_bytes_is_told_as_damage(tmp_path: Path, three: Files, first: bytes) -> None:
+    path = write(tmp_path / "ledger", three)
+    chain = path / "chain.jsonl"
+    chain.write_bytes(first + chain.read_bytes().partition(b"\n")[2])
+    found = recover(path)
+    assert (found.outcome, found.head.commits, found.problems[0].where) == ("damaged", 0, "chain.jsonl")
+
+
 @pytest.mark.parametrize("is_sealed", [False, True])
 @pytest.mark.parametrize(
     ("altered", "later"),

@@ -263,7 +263,7 @@ def _first_hash(path: Path) -> str:
     try:
         line = growing.read_at(path / CHAIN, 0, 1 << 20).partition(b"\n")[0]
         return str(msgspec.json.decode(line, type=dict[str, object]).get("previous_sha256", ""))
-    except (OSError, msgspec.DecodeError):
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return ""
 
 
