@@ -3,6 +3,7 @@ are right."""
 
 import ast
 import os
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -100,6 +101,22 @@ def test_a_ledger_that_lacks_its_description_alone_is_damaged_to_whoever_reads_o
     (path / "chain.jsonl").unlink()
     with pytest.raises(NotALedger):
         open_ledger(path)
+
+
+@pytest.mark.parametrize(
+    ("altered", "told"),
+    [
+        ((b'"format"', b'"fo2mat"'), "found format None, expected 'fsar-ledger', beside chain.jsonl; restore it"),
+        ((b"fsar-ledger", b"fsar-led'er"), "found format \"fsar-led'er\", expected 'fsar-ledger', beside chain.jsonl"),
+        ((b'"version"', b'"verskon"'), "found other JSON than expected"),
+    ],
+)
+def test_a_description_with_a_flipped_bit_is_damage_and_not_of_another_program_or_version(
+    path: Path, altered: tuple[bytes, bytes], told: str
+) -> None:
+    (path / "ledger.json").write_bytes((path / "ledger.json").read_bytes().replace(*altered))
+    with pytest.raises(LedgerCorrupted, match=re.escape(f"ledger.json: {told}")):
+        open_checked(path)
 
 
 def test_a_ledger_that_lacks_its_segments_is_damaged_to_whoever_reads_or_writes_it(path: Path) -> None:

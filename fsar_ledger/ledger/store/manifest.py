@@ -78,7 +78,7 @@ def parse_manifest(path: Path, data: bytes) -> Manifest:
     """Parse these bytes of `path` as a manifest.
 
     Raises:
-        NotALedger: They are the JSON of something else.
+        NotALedger: They are the JSON of something else, with no chain beside it.
         FormatVersionMismatch: They describe a ledger of another format version.
         LedgerCorrupted: They are not the canonical JSON of a manifest.
     """
@@ -89,15 +89,15 @@ def parse_manifest(path: Path, data: bytes) -> Manifest:
             f"{path}: found no JSON object ({error}), expected the description of a ledger; restore it"
         ) from error
     if header.get("format") != FORMAT:
-        raise NotALedger(
-            f"{path}: found format {header.get('format')!r:.80}, expected {FORMAT!r}; this is no FSAR ledger"
-        )
+        found = f"{path}: found format {header.get('format')!r:.80}, expected {FORMAT!r}"
+        if os.path.lexists(path.with_name(CHAIN)):
+            raise LedgerCorrupted(f"{found}, beside {CHAIN}; restore it")
+        raise NotALedger(f"{found}; this is no FSAR ledger")
     if header.get("version") == VERSION_1:
         raise _too_old(path.parent)
-    if header.get("version") != VERSION:
+    if isinstance(version := header.get("version"), int) and version != VERSION:
         raise FormatVersionMismatch(
-            f"{path}: found format version {header.get('version')!r:.80}, expected {VERSION}; "
-            "read it with the version that wrote it"
+            f"{path}: found format version {version}, expected {VERSION}; read it with the version that wrote it"
         )
     manifest = parse_document(path, data, Manifest)
     if not is_name(manifest.origin):
