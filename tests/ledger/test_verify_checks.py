@@ -29,10 +29,11 @@ from fsar_ledger.ledger.verify import segment as verify_segment
 from fsar_ledger.ledger.verify import verify
 from fsar_ledger.ledger.verify.chain import BEHIND
 from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport, read_anchor
+from tests.ledger.agreement_chain import rewrite, tables_of
 from tests.ledger.damage import SIGNER, only_problem
-from tests.ledger.forgery import forge, forge_segment, segment_at, staged_at, table_of
+from tests.ledger.forgery import changed, forge, forge_segment, segment_at, staged_at, table_of
 from tests.ledger.mutants import CHECKED, PACKAGE, functions_of
-from tests.ledger.samples import ORIGIN
+from tests.ledger.samples import ORIGIN, made_up_run
 
 SIZES = (270, 20)
 QUICK = VerifyOptions(is_quick=True)
@@ -157,6 +158,17 @@ def test_a_segment_that_is_missing_is_named_with_the_words_of_the_system(path: P
     (path / NEWEST).unlink()
     problem = only_problem(path)
     assert (problem.where, problem.found, problem.field) == (NEWEST, "no segment", "segment_sha256")
+
+
+def test_of_rows_of_the_journal_that_break_a_rule_the_first_is_told_and_a_quick_look_reads_none(path: Path) -> None:
+    with Writer(path, ORIGIN, adopts=True) as writer:
+        for number in range(3):
+            writer.add([made_up_run(f"small-{number}", 4, number)])
+    *segments, journal = tables_of(path)
+    rewrite(path, [*segments, changed(changed(journal, "caused_by", 6, 9), "caused_by", 10, 9)])
+    problem = only_problem(path)
+    assert (problem.where, problem.commit, problem.seq, problem.field) == ("journal.jsonl", 3, 2, "caused_by")
+    assert verify(path, asked=QUICK).ok
 
 
 def test_a_right_copy_in_staging_excuses_no_damaged_segment_in_its_place(path: Path) -> None:
