@@ -19,7 +19,7 @@ from tests.report.made import column, made, names, said
 from tests.report.test_charts import words
 
 NAMES = ("level_four_is_fleet", "reviews_are_no_interventions")
-Means = dict[ReadingNames, tuple[float | None, float, float]]
+Means = dict[ReadingNames, tuple[float | None, float | None, float | None]]
 PAPER = published()["human_intervention", "fsar"].value
 
 
@@ -113,7 +113,7 @@ def test_the_report_has_the_multiverse_of_the_runs_that_its_tables_are_of(ledger
         assert multiverse_of(database, tuple("another" for _ in CONDITIONS)) is None
 
 
-MEANS: dict[ReadingNames, tuple[float | None, float, float]] = {
+MEANS: Means = {
     (): (0.07, 0.29, 0.2),
     ("level_four_is_fleet",): (0.3, 0.29, 0.2),
     ("reviews_are_no_interventions",): (0.03, 0.24, 0.18),
@@ -121,9 +121,7 @@ MEANS: dict[ReadingNames, tuple[float | None, float, float]] = {
 }
 
 
-def found(
-    means: dict[ReadingNames, tuple[float | None, float, float]] = MEANS, metric: str = "human_intervention"
-) -> Multiverse:
+def found(means: Means = MEANS, metric: str = "human_intervention") -> Multiverse:
     """One metric of three architectures under these combinations, and once more for another seed, under which FSAR is
     the worst."""
     setting = {
