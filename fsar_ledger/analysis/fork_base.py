@@ -12,7 +12,7 @@ from fsar_ledger.designs import OutsideCommand, Scenario, registered
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandGiven, CommandRejected
 from fsar_ledger.events.world import TaskArrived
-from fsar_ledger.ledger.rows.runs import LedgerRun, start_of
+from fsar_ledger.ledger.rows.runs import LedgerRun, parts_at, start_of
 from fsar_ledger.runtime.change_texts import COMMAND, fact_of, fact_text
 from fsar_ledger.runtime.changeable import (
     CALL,
@@ -43,7 +43,7 @@ from fsar_ledger.runtime.changes import (
     microseconds_of,
     seconds_text,
 )
-from fsar_ledger.runtime.forks import Fork, edited_environment, fork, live_again, parts_at, run_again
+from fsar_ledger.runtime.forks import Fork, edited_environment, fork, live_again, run_again
 from fsar_ledger.runtime.live import QuestionKey, commands_of
 from fsar_ledger.runtime.own import problems_of_commands
 from fsar_ledger.runtime.recipes import CannotReplay, Recipe, recipe_of

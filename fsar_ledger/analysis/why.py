@@ -14,11 +14,11 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.ledger.rows.runs import LedgerRun, start_of
+from fsar_ledger.ledger.rows.runs import LedgerRun, parts_at, start_of
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.changeable import Question, name_of
 from fsar_ledger.runtime.changes import NOW, RULES
-from fsar_ledger.runtime.forks import command, edited_environment, parts_at, record_of, run_to_end
+from fsar_ledger.runtime.forks import command, edited_environment, record_of, run_to_end
 from fsar_ledger.runtime.handlers.commands import Command, Decide, React, Scheduled
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask, Environment, LiveEnvironment

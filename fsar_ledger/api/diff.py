@@ -164,8 +164,8 @@ def difference_of(
     from fsar_ledger.analysis import lines_from
     from fsar_ledger.analysis.difference import FIRST, KINDS, SECOND, align, chain, outcomes_diff, until_the_end
     from fsar_ledger.ledger.rows.codec import encode_coded
+    from fsar_ledger.ledger.rows.runs import until
     from fsar_ledger.metrics.database import from_table
-    from fsar_ledger.runtime.forks import until
 
     whole, first = first, first if ends_us is None else until(first, ends_us)
     alignment = align(first, second)

@@ -100,7 +100,7 @@ def view(
         UsageError: There is no such run, both are the same, `out` has another suffix or lies inside a ledger.
         WriteFailed: The file cannot be written.
     """
-    from fsar_ledger.runtime.forks import parts_at
+    from fsar_ledger.ledger.rows.runs import parts_at
     from fsar_ledger.view import page
 
     from .files import write_bytes

@@ -162,7 +162,7 @@ def continued(
     later = list[str]()
     for name, (first, *_) in second_indices.items():
         begins_us, fact = after[first]
-        is_again = name in kept and (numbers_again or _happens_once(fact))
+        is_again = name in kept and (numbers_again or happens_once(fact))
         is_away = not numbers_again and begins_us <= until_us.get(_spell(fact), 0)
         if begins_us >= from_us and not is_again and not is_away:
             later.append(name)
@@ -173,7 +173,8 @@ def continued(
     return apart(sorted(facts, key=lambda entry: entry[0]), NEVER_US)
 
 
-def _happens_once(fact: Event) -> bool:
+def happens_once(fact: Event) -> bool:
+    """Return whether there is one fact of this name in a world, whenever it happens there."""
     once = TaskArrived | OutsiderRequestInjected | SyncPhaseSet | SnapshotPhaseSet | SupervisorLeft | CommandGiven
     return isinstance(fact, once) or (isinstance(fact, ActuatorDegraded) and fact.grade != "lost")
 

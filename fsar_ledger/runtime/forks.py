@@ -3,13 +3,13 @@
 A fork's environment is its base's with some facts and answers edited. A live run forks from its commands.
 """
 
-from bisect import bisect_right
 from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple
 
 import msgspec
 
+from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs.constants import END_US
 from fsar_ledger.events import Event
@@ -18,6 +18,7 @@ from fsar_ledger.events.envelope import FLEET_SUPERVISOR
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.rows.runs import parts_at, until
 from fsar_ledger.projections.fleet import NEVER_US, Fleet
 
 from .change_texts import COMMAND, altered, fact_of
@@ -28,6 +29,7 @@ from .changeable import (
     QuestionRecorder,
     continued,
     facts_by_name,
+    happens_once,
     matching_names,
     united,
 )
@@ -46,6 +48,7 @@ from .changes import (
     OfFacts,
     Rule,
     Rules,
+    Set,
     Trust,
     microseconds_of,
     seconds_text,
@@ -309,6 +312,7 @@ def fork(base: Recipe, record: LedgerRun, root: str, changes: Changes) -> Fork:
     """
     recipe = with_changes(base, changes)
     require_possible(recipe)
+    _require_same_facts(base, changes)
     edited = edited_environment(recipe)
     kernel = kernel_of(recipe, edited)
     run_to_end(kernel, edited, recipe)
@@ -328,11 +332,23 @@ def fork(base: Recipe, record: LedgerRun, root: str, changes: Changes) -> Fork:
     return Fork(record_of(kernel), first, frozenset(edited.used), end, left_out)
 
 
-def until(record: LedgerRun, time_us: int) -> LedgerRun:
-    """Return the part of the record up to this time, inclusive."""
-    count = bisect_right(record.times_us, time_us)
-    parts = record.times_us[:count], record.caused_by[:count], record.events[:count]
-    return LedgerRun(record.run_id, *parts)
+def _require_same_facts(base: Recipe, changes: Changes) -> None:
+    """Check that the constants which are set leave the facts that other changes name. Raises: UsageError."""
+    sets = tuple(change for change in changes if isinstance(change, Set))
+    if not sets or base.live is not None:
+        return
+    before, after = (edited_environment(with_changes(base, chosen)).facts for chosen in ((), sets))
+    names, others = facts_by_name(tuple(before)), facts_by_name(tuple(after))
+    for change in changes:
+        if not isinstance(change, Drop | Move) or change.fact not in names:  # a pattern is of whatever there is
+            continue
+        time_us, fact = before[names[change.fact][0]]
+        other_us = after[others[change.fact][0]][0] if change.fact in others else None
+        if other_us != time_us and (other_us is None or not happens_once(fact)):
+            raise UsageError(
+                f"change {change}: under {printable.list_few(map(str, sets))} the run has another fact of this name "
+                "or none; expected a fact that it has at the same time with and without, or a pattern with *"
+            )
 
 
 def live_again(base: Recipe) -> tuple[LedgerRun, Recipe]:
@@ -376,22 +392,3 @@ def record_of(kernel: Kernel) -> LedgerRun:
     started = kernel.events[0]
     assert isinstance(started, RunStarted)
     return LedgerRun(run_id(started), kernel.times_us, kernel.caused_by, kernel.events)
-
-
-def parts_at(first: LedgerRun, second: LedgerRun) -> int | None:
-    """Return the first seq after 0 at which two records differ in event, time or cause; None if there is none."""
-    events: Sequence[Event] = first.events
-    length = min(len(events), len(second.events))
-    if (
-        events[1:length] == second.events[1:length]
-        and first.times_us[1:length] == second.times_us[1:length]
-        and first.caused_by[1:length] == second.caused_by[1:length]
-    ):
-        return None if len(events) == len(second.events) else length
-    return next(
-        seq
-        for seq in range(1, length)
-        if first.times_us[seq] != second.times_us[seq]
-        or first.caused_by[seq] != second.caused_by[seq]
-        or events[seq] != second.events[seq]
-    )

@@ -19,7 +19,7 @@ from fsar_ledger.events import CONCERN_OF, Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.runtime.forks import parts_at
+from fsar_ledger.ledger.rows.runs import parts_at
 
 from .spans import TRACKS, Span, lane_of, spans_of
 

@@ -17,8 +17,8 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.world import PeersMet, SupervisorLeft, SupervisorReturned, TaskArrived
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.rows.runs import until
 from fsar_ledger.runtime.change_texts import parsed
-from fsar_ledger.runtime.forks import until
 from tests.analysis.conftest import simulated
 from tests.analysis.planted import planted
 from tests.runtime.test_live import relay

@@ -11,8 +11,9 @@ from fsar_ledger.events.envelope import FLEET_SUPERVISOR
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.rows.runs import parts_at
 from fsar_ledger.runtime.change_texts import parsed
-from fsar_ledger.runtime.forks import Fork, fork, parts_at
+from fsar_ledger.runtime.forks import Fork, fork
 from fsar_ledger.runtime.handlers.fleet import LeaveFleet
 from fsar_ledger.runtime.handlers.public import PublicCommand, command_record, commands, given_in_file, speaker
 from fsar_ledger.runtime.recipes import recorded_recipe

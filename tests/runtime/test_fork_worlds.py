@@ -1,11 +1,13 @@
 """The world of a fork: with other rates from a time on, and of those who are away twice at a time."""
 
+import re
 from collections.abc import Sequence
 
 import msgspec
 import pytest
 
 from fsar_ledger.analysis.why import decisions
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, Supervisor
@@ -174,6 +176,33 @@ def test_a_task_that_is_added_late_is_not_given_up_before_it_begins() -> None:
         if event.task_id == "A1-9"
     )
     assert done < 120 * S
+
+
+RATE = "set world.fleet_rule_rate_per_s=0.2"
+
+
+@pytest.mark.parametrize("constant", [RATE, f"{RATE} from 50s"])
+def test_a_fact_that_a_constant_puts_elsewhere_is_not_named_beside_it(constant: str) -> None:
+    facts = base()[1].events
+    window = [fact.window for fact in facts if isinstance(fact, PolicyWindowOpened) and fact.scope == "fleet"][-1]
+    for text in (f"drop window:{window}", f"move window:{window} +1s"):
+        with pytest.raises(UsageError, match=f"change {re.escape(text)}: under {RATE}.* has another fact of this name"):
+            forked(constant, text)
+    assert not of_type(forked(constant, "drop window:*").record, PolicyWindowOpened)
+
+
+def test_a_fact_that_a_constant_leaves_where_it_is_is_named_beside_it() -> None:
+    for constant in (f"{RATE} from 50s", "set world.message.high_s=0.3"):
+        assert "fleet/B1/0" in windows_of(forked(constant).record)
+        assert "fleet/B1/0" not in windows_of(forked(constant, "drop window:fleet/B1/0").record)
+    start = "set world.start.high_s=5"
+    assert {*tasks_of(facts_of(42, start))} == {"A1-1", "A1-2"}
+    assert [*tasks_of(facts_of(42, start, "drop task:A1-1"))] == ["A1-2"], "a task is the same whenever it arrives"
+    assert forked(start, "drop task:A1-1").parts_at is not None
+
+
+def windows_of(record: LedgerRun) -> set[str]:
+    return {fact.window for _, fact in of_type(record, PolicyWindowOpened)}
 
 
 def test_a_fork_with_a_lower_rate_from_a_time_on_repeats_its_base_until_then() -> None:

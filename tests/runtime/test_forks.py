@@ -18,8 +18,9 @@ from fsar_ledger.events.supervision import SupervisionDensitySet, SupervisorCall
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import ObstructionAppeared, PolicyWindowClosed, PolicyWindowOpened, RobotWentOff
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.rows.runs import parts_at
 from fsar_ledger.runtime.change_texts import parsed
-from fsar_ledger.runtime.forks import Fork, fork, parts_at, run_again
+from fsar_ledger.runtime.forks import Fork, fork, run_again
 from fsar_ledger.runtime.recipes import Recipe, base_of, recorded_recipe, with_changes
 from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import RunSpec, run_id, simulate_run

@@ -13,12 +13,13 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.request import RequestDenied
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.rows.runs import parts_at
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.change_texts import parsed
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, workflow_experiment
-from fsar_ledger.runtime.forks import fork, parts_at, record_of
+from fsar_ledger.runtime.forks import fork, record_of
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.recipes import Recipe
 from fsar_ledger.runtime.recorded import RecordedKernel, recorded_environment

@@ -4,6 +4,7 @@ msgspec constructors do not check types, so an event may contain anything. The c
 a bad value; the functions here then search for it value by value, to report its run, seq and field.
 """
 
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from typing import NamedTuple
@@ -42,6 +43,32 @@ def start_of(record: LedgerRun) -> RunStarted:
         name = printable.value(record.run_id)
         raise UsageError(f"{name}: found the plan of an experiment, expected a run; `query runs` lists them")
     return started
+
+
+def until(record: LedgerRun, time_us: int) -> LedgerRun:
+    """Return the part of the record up to this time, inclusive."""
+    count = bisect_right(record.times_us, time_us)
+    parts = record.times_us[:count], record.caused_by[:count], record.events[:count]
+    return LedgerRun(record.run_id, *parts)
+
+
+def parts_at(first: LedgerRun, second: LedgerRun) -> int | None:
+    """Return the first seq after 0 at which two records differ in event, time or cause; None if there is none."""
+    events: Sequence[Event] = first.events
+    length = min(len(events), len(second.events))
+    if (
+        events[1:length] == second.events[1:length]
+        and first.times_us[1:length] == second.times_us[1:length]
+        and first.caused_by[1:length] == second.caused_by[1:length]
+    ):
+        return None if len(events) == len(second.events) else length
+    return next(
+        seq
+        for seq in range(1, length)
+        if first.times_us[seq] != second.times_us[seq]
+        or first.caused_by[seq] != second.caused_by[seq]
+        or events[seq] != second.events[seq]
+    )
 
 
 class Flaw(msgspec.Struct, frozen=True):
