@@ -173,9 +173,10 @@ Changes = tuple[AnyChange, ...]
 Rules = Literal["now", "to 0.18", "to 0.16", "to 0.15"]
 """The meaning of changes, by release.
 
-Up to 0.18, a task that is moved is due when it was, and one that is added when it says. Up to 0.16, a constant set from
-a time on drops the facts of the other world whose number is already used, and of two overlapping spells the first end
-counts. Up to 0.15, each change also names what the changes before it left.
+Up to 0.18, a task that is moved is due when it was, one that is added when it says, and of two answers for a field of a
+command the last counts. Up to 0.16, a constant set from a time on drops the facts of the other world whose number is
+already used, and of two overlapping spells the first end counts. Up to 0.15, each change also names what the changes
+before it left.
 """
 NOW: Rules = "now"
 TO_0_18: Rules = "to 0.18"

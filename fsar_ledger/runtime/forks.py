@@ -189,7 +189,7 @@ def edited_environment(recipe: Recipe) -> EditedEnvironment:
         facts = continued(facts, tuple(era.facts), from_us, numbers_again=recipe.rules in UP_TO_0_16)
     fact_changes = [change for change in recipe.changes if isinstance(change, Drop | Move | Add)]
     answers = [change for change in recipe.changes if isinstance(change, Answer)]
-    facts = _altered(facts, answers)
+    facts = _altered(facts, answers, recipe.rules)
     if recipe.live is None:
         facts = edited_facts(facts, fact_changes, rules=recipe.rules)
         return EditedEnvironment(unedited, facts, answers)
@@ -208,15 +208,18 @@ def edited_environment(recipe: Recipe) -> EditedEnvironment:
     return EditedEnvironment(unedited, facts, answers, cache(draws))
 
 
-def _altered(facts: tuple[Fact, ...], changes: Sequence[Answer]) -> tuple[Fact, ...]:
-    """Return the facts, with the commands that the changes name altered."""
-    names, edited = facts_by_name(facts), list(facts)
-    for change in changes:
+def _altered(facts: tuple[Fact, ...], changes: Sequence[Answer], rules: Rules) -> tuple[Fact, ...]:
+    """Return the facts, with the commands that the changes name altered: as for questions, a name before a pattern."""
+    names, edited, said, is_now = facts_by_name(facts), list(facts), set[tuple[int, str]](), rules == NOW
+    for change in sorted(changes, key=lambda change: is_now and "*" in change.question):
         if change.question.startswith(COMMAND):
+            field = change.answer.partition("=")[0]
             for index in (index for name in matching_names(change.question, names) for index in names[name]):
                 time_us, command = edited[index]
                 assert isinstance(command, CommandGiven)
-                edited[index] = time_us, altered(command, change)
+                if not is_now or (index, field) not in said:
+                    edited[index] = time_us, altered(command, change)
+                said.add((index, field))
     return tuple(edited)
 
 

@@ -341,3 +341,15 @@ def test_a_run_without_the_command_or_with_another_one_is_made_again(change: str
     assert of(other.record, SupervisorCalled) == []
     assert replay_run(other.record) is None
     assert msgspec.json.encode(other.record.events[0]) != msgspec.json.encode(started)
+
+
+def test_a_command_that_is_named_says_what_its_name_is_given_and_not_what_a_pattern_is(tmp_path: Path) -> None:
+    record = ran(written(FILE + DENSITY, tmp_path))
+    started = record.events[0]
+    assert isinstance(started, RunStarted)
+    base = recorded_recipe(started, len(record.events))
+    named, every = (f"answer command:SetSupervisionDensity/{which} review_every={n}" for which, n in ((0, 3), ("*", 0)))
+    either = [fork(base, record, "0" * 64, parsed(texts)).record for texts in ([named, every], [every, named])]
+    for found in either:
+        assert [event.review_every for _, event in of(found, SupervisionDensitySet)] == [3]
+        assert replay_run(found) is None
