@@ -13,7 +13,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandGiven, CommandRejected
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.ledger.rows.runs import LedgerRun, parts_at, start_of
-from fsar_ledger.runtime.change_texts import COMMAND, fact_of, fact_text
+from fsar_ledger.runtime.change_texts import COMMAND, SHORT, fact_of, fact_text
 from fsar_ledger.runtime.changeable import (
     CALL,
     KINDS,
@@ -231,8 +231,10 @@ def _require_meant(rerun: Rerun, change: AnyChange) -> None:
 def _require_named(rerun: Rerun, change: AnyChange, forked: Fork) -> None:
     """Check that the fork has what the change names: its task, or what it ends. Raises: UsageError."""
     if isinstance(change, Add):
-        before = forked.record.events[: bisect_left(forked.record.times_us, microseconds_of(change.at_s))]
-        for problem in problems_of_end(fact_of(change.event), before):
+        fact, count = fact_of(change.event), bisect_left(forked.record.times_us, microseconds_of(change.at_s))
+        events = forked.record.events
+        before = events[: events.index(fact, count)] if fact in events[count:] else events
+        for problem in problems_of_end(fact, before):
             raise UsageError(f"change {change}: {problem}")
     if not isinstance(change, Rule | Trust) or change.task is None:
         return
@@ -320,12 +322,11 @@ _SHORT = (CALL, RESPONSE)
 
 def _unknown(what: str, change: AnyChange, unknown: str, names: Sequence[str]) -> UsageError:
     kind = unknown.partition(":")[0]
-    of_kind = [name for name in names if name.partition(":")[0] == kind] or list(names)
-    hint = printable.did_you_mean(unknown, of_kind) or ";"
-    options = printable.list_few(map(printable.value, of_kind)) or f"none: the run has no {what}"
-    return UsageError(
-        f"change {change}: the run has no {what} {printable.value(unknown)}{hint} expected one of {options}; {LIST}"
-    )
+    is_kind = kind in (*LIVE_KINDS, *SHORT, "task", "outsider", "command")
+    alike = [name for name in names if name.partition(":")[0] == kind or not is_kind]
+    hint = printable.did_you_mean(unknown, alike) or ";"
+    options = f"expected one of {printable.list_few(map(printable.value, alike))}" if alike else "it has none of this kind"
+    return UsageError(f"change {change}: the run has no {what} {printable.value(unknown)}{hint} {options}; {LIST}")
 
 
 def _rejected_in(base: Base, forked: Fork) -> list[int]:

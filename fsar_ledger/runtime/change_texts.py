@@ -13,10 +13,11 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs.registered import at_line, read_design
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandGiven
-from fsar_ledger.events.envelope import Robot, local_supervisor
+from fsar_ledger.events.envelope import Operation, PolicyScope, Robot, local_supervisor
 from fsar_ledger.events.world import (
     ActuatorDegraded,
     ContextChanged,
+    Grade,
     LinkCameUp,
     LinkWentDown,
     ObstructionAppeared,
@@ -311,6 +312,10 @@ def _added(name: str, words: list[str]) -> tuple[Add, ...]:
     is_spell, make = SHORT[kind]
     if (for_s is None) == is_spell or len(extra) > 1:
         raise _Unfit(f"{kind} takes {'a length: for TIME' if is_spell else 'no length'}, and at most one more word")
+    known = WORDS.get(kind, ())
+    if (kind == "routine" and not extra) or (extra and extra[0] not in known):
+        takes = f"one of {', '.join(known)}" if known else "nothing more"
+        raise _Unfit(f"found {printable.value(extra[0]) if extra else 'no word'} at the end; {kind} takes {takes}")
     lasting = "" if for_s is None else f"-for-{seconds_text(for_s)}"  # what begins together need not end together
     events = make(who, f"{seconds_text(at_s)}{lasting}", *extra)
     times = (at_s,) if for_s is None else (at_s, at_s + for_s)
@@ -330,6 +335,8 @@ def _checked(event: Event) -> str:
 
 def _window(who: str, when: str, outcome: str = "deny") -> tuple[Event, ...]:
     scope, _, name = who.partition("/")
+    if scope not in get_args(PolicyScope):
+        raise _Unfit(f"found {printable.value(who)} where fleet/ROBOT or local/ROBOT belongs")
     robot, window = _robot(name), f"{who}/at-{when}"
     opened = PolicyWindowOpened(robot=robot, scope=scope, window=window, outcome=outcome)  # type: ignore[arg-type]
     return opened, PolicyWindowClosed(robot=robot, scope=scope, window=window)  # type: ignore[arg-type]
@@ -368,6 +375,13 @@ SHORT: dict[str, tuple[bool, Callable[..., tuple[Event, ...]]]] = {
     "encounter": (False, _encounter),
 }
 """By kind of fact with a short form: whether it lasts, and the function that makes its events."""
+
+WORDS: dict[str, tuple[str, ...]] = {
+    "window": ("deny", "review"),
+    "degradation": get_args(Grade),
+    "routine": get_args(Operation),
+}
+"""By kind, the words that a short form may end in; that of `routine` must."""
 
 _PARSERS: dict[str, Callable[[str], AnyChange | tuple[Add, ...]]] = {
     "drop": partial(_one_word, Drop),

@@ -212,6 +212,9 @@ def end(at: str, window: str) -> str:
 ASKED = {"type": "OutsiderRequestInjected", "task_id": "q", "robot": "robot/A1", "peer": "robot/C1"}
 SUBMITTED = {"command": "SubmitTask", "by": "service/desk", "robot": "robot/A1", "budget_us": 50_000_000}
 BAD += [
+    ("drop off:B1/0", "the run has no fact off:B1/0; it has none of this kind; `whatif"),
+    ("answer response:A1-1/1.1 never", "the run has no question response:A1-1/1.1; did you mean response:"),
+    (f"{end('20s', 'fleet/B1/at-20s-for-0s')}", "window: found fleet/B1/at-20s-for-0s, which is not there then"),
     (task(steps=["A navigate.indoor", "A door.open.basic Z"]), "found Z, expected one of the robots of fleet paper"),
     (task(steps=["A carry.heavy"]), "found carry.heavy, which A cannot do, expected a capability of A's own"),
     (task(steps=[]), "steps: found none, expected at least one step"),
@@ -240,6 +243,11 @@ def test_two_facts_of_one_name_are_an_error_in_every_call(asking: Base) -> None:
         rerun(asking).fork_with_effect(parsed(texts))
     with pytest.raises(UsageError, match=f"which is taken, .* that is run {asking.record.run_id}"):
         list(forks_of([asking], parsed(texts)))
+
+
+def test_a_window_of_no_length_has_begun_when_it_ends(asking: Base) -> None:
+    added = parsed(["add window:fleet/B1 20s for 0s"])
+    assert rerun(asking).fork_with_effect(added).parts_at is not None
 
 
 def test_a_task_takes_the_name_of_one_that_does_not_arrive(asking: Base) -> None:
