@@ -325,7 +325,8 @@ def _unknown(what: str, change: AnyChange, unknown: str, names: Sequence[str]) -
     is_kind = kind in (*LIVE_KINDS, *SHORT, "task", "outsider", "command")
     alike = [name for name in names if name.partition(":")[0] == kind or not is_kind]
     hint = printable.did_you_mean(unknown, alike) or ";"
-    options = f"expected one of {printable.list_few(map(printable.value, alike))}" if alike else "it has none of this kind"
+    few = printable.list_few(map(printable.value, alike))
+    options = f"expected one of {few}" if alike else "it has none of this kind"
     return UsageError(f"change {change}: the run has no {what} {printable.value(unknown)}{hint} {options}; {LIST}")
 
 

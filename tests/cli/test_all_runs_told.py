@@ -33,8 +33,8 @@ REFUSED = {
     "trust A1 Z1 none": "SetTrust about robot/A1 is rejected: unknown robot robot/Z1",
     "budget Z1 local 5s 1": "SetRecoveryBudget about robot/Z1 is rejected",
     "rule fleet deny task=A1-9": "the run has no task A1-9",
-    "add window:fleet/Z1 20s for 5s": "there is no robot/Z1 in the fleet",
-    "add routine:Z1 20s motion": "there is no robot/Z1 in the fleet",
+    "add window:fleet/Z1 20s for 5s": "robot: found robot/Z1, expected one of the fleet",
+    "add routine:Z1 20s motion": "robot: found robot/Z1, expected one of the fleet",
     'add 20s {"command": "LeaveFleet", "by": "robot/Z1", "robot": "robot/Z1"}': "LeaveFleet about robot/Z1 is",
     "rule fleet deny from 9000s": "the run has ended by then",
 }
