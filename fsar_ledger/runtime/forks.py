@@ -338,12 +338,13 @@ def fork(base: Recipe, record: LedgerRun, root: str, changes: Changes) -> Fork:
 def _require_same_facts(base: Recipe, changes: Changes) -> None:
     """Check that the constants which are set leave the facts that other changes name. Raises: UsageError."""
     sets = tuple(change for change in changes if isinstance(change, Set))
-    if not sets or base.live is not None:
+    named = [change for change in changes if isinstance(change, Drop | Move)]
+    if not sets or not named or base.live is not None:
         return
     before, after = (edited_environment(with_changes(base, chosen)).facts for chosen in ((), sets))
     names, others = facts_by_name(tuple(before)), facts_by_name(tuple(after))
-    for change in changes:
-        if not isinstance(change, Drop | Move) or change.fact not in names:  # a pattern is of whatever there is
+    for change in named:
+        if change.fact not in names:  # a pattern is of whatever there is
             continue
         time_us, fact = before[names[change.fact][0]]
         other_us = after[others[change.fact][0]][0] if change.fact in others else None
