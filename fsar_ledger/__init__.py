@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from fsar_ledger.studies.sensitivity import sensitivity
     from fsar_ledger.studies.systems import systems
 
-__version__ = "0.18.0"
+__version__ = "0.19.0"
 
 __all__ = [
     "Account",
