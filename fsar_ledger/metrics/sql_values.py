@@ -184,7 +184,11 @@ ON_RECORD = {
         FROM events
         WHERE $run IS NULL OR run_id = $run
     """,
-    "action": "SELECT action_id AS name FROM keyed_events WHERE $run IS NULL OR run_id = $run",
+    "action": """
+        SELECT action_id AS name FROM keyed_events WHERE $run IS NULL OR run_id = $run
+        UNION ALL
+        SELECT competing AS name FROM events WHERE $run IS NULL OR run_id = $run
+    """,
     "capability": "SELECT capability AS name FROM events",
     "context": "SELECT unnest([task_id, context]) AS name FROM events WHERE $run IS NULL OR run_id = $run",
     "reason": "SELECT reason AS name FROM refusal_reasons UNION ALL SELECT reason AS name FROM events",

@@ -208,7 +208,8 @@ def started_of(recipe: Recipe, origin: RunStarted | None = None) -> RunStarted:
 def recorded_recipe(started: RunStarted, event_count: int) -> Recipe:
     """Return the inputs of the run with this event 0. Raises: CannotReplay."""
     if started.kind != "simulated":
-        raise CannotReplay("kind", "a simulated run", f"a {started.kind} run, whose commands are not stored")
+        expected = "a simulated run, or a live one with its commands"
+        raise CannotReplay("kind", expected, f"a {started.kind} run, whose commands are not stored")
     _require_our_model(started)
     try:
         spec = msgspec.convert({name: getattr(started, name) for name in RunSpec.__struct_fields__}, RunSpec)

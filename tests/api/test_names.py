@@ -241,6 +241,12 @@ def test_a_robot_that_only_moves_helps_or_is_found_in_a_record_is_a_name_on_reco
         assert names_on_record(database, "robot", "another") == []
 
 
+def test_an_action_that_a_record_names_only_as_competing_is_a_name_on_record() -> None:
+    called = act("SupervisorCalled", 1, "t/1", purpose="order", competing="t/2")
+    with from_rows(run(called, kind="foreign")) as database:
+        assert names_on_record(database, "action", "r1") == ["t/1", "t/2"]
+
+
 def test_what_is_no_period_is_so_whatever_the_rows_of_a_ledger_are(ledger: fsar_ledger.Ledger) -> None:
     with pytest.raises(UsageError, match=r"no such period; expected one of day, part$"):
         ledger.query("metrics_by_period", per="week")
