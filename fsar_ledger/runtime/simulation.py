@@ -55,7 +55,12 @@ def run_started(spec: RunSpec, constants: Constants) -> RunStarted:
     return RunStarted(
         kind="simulated",
         observes=CONCERNS,
-        **msgspec.structs.asdict(spec),
+        architecture=spec.architecture,
+        configuration=spec.configuration,
+        scenario=spec.scenario,
+        seed=spec.seed,
+        fleet_size=spec.fleet_size,
+        run=spec.run,
         model_version=MODEL_VERSION,
         parameters=constants_text(constants),
     )

@@ -1,8 +1,8 @@
 -- Title: What a robot was doing at a time
 -- Paper: sec:model:robot
--- Grain: one row per run, robot and action that it does, and per action that it is `helping` with, which may be its
---   own; a robot that had joined and had none has one row: `off`, `departed` or `idle`
--- Key: run_id, robot, action_id?, doing?
+-- Grain: one row per run, robot and action that it does or helps with; a robot that had joined and had none has one
+--   row: `off`, `departed` or `idle`. Of an action that it does and helps with at once, what began last
+-- Key: run_id, robot, action_id?
 -- Units: since_us microseconds of run time; at seconds, by default after the end of every run
 -- NULL: action_id, since_us, on_behalf_of when no action was in progress; on_behalf_of also when the robot helps
 --   another; doing also when nothing is on record and the run does not observe execution and recovery, or an action was
@@ -31,7 +31,6 @@ latest AS (
     INNER JOIN run_started AS runs ON events.run_id = runs.run_id
     WHERE
         $run IN ('all', events.run_id) AND events.time_us <= $at_us::BIGINT
-        -- Where the ends of executions, or of help, are not recorded, neither is reported.
         AND if(
             starts_with(events.type, 'Assistance'),
             list_contains(observes, 'recovery') OR list_has_all(records, ['AssistanceEnded', 'AssistanceFailed']),
@@ -78,3 +77,4 @@ LEFT JOIN outages
 LEFT JOIN gone ON members.run_id = gone.run_id AND members.robot = gone.robot
 LEFT JOIN busy_before AS past ON members.run_id = past.run_id AND members.robot = past.robot
 WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot)
+QUALIFY row_number() OVER (PARTITION BY members.run_id, members.robot, action_id ORDER BY latest.since_us DESC) = 1
