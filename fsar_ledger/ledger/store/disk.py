@@ -23,6 +23,7 @@ from pathlib import Path
 from fsar_ledger.base.errors import LedgerCorrupted, WriteFailed
 
 TEMPORARY = ".tmp"
+READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
 MAX_DOCUMENT_BYTES = 1 << 20
 """The most bytes read of a JSON file; those of a ledger are far smaller."""
@@ -31,14 +32,17 @@ MAX_NAMES = 1 << 20
 """The most names read of a folder; far more than any ledger's commits."""
 
 
+def reason(error: OSError) -> str:
+    """Return why the system refused, in words: of a link it says "too many levels of symbolic links"."""
+    return "it is a link" if error.errno == errno.ELOOP else error.strerror or str(error)
+
+
 def open_to_read(path: Path | str) -> int:
     """Open a file for reading, without waiting for a pipe's writer. Raises: OSError; also for a link."""
     try:
-        return os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        return os.open(path, READ)
     except OSError as error:
-        if error.errno == errno.ELOOP:  # the system says "too many levels of symbolic links"
-            raise OSError(error.errno, "it is a link", str(path)) from error
-        raise
+        raise OSError(error.errno, reason(error), str(path)) from error
 
 
 def read_document(path: Path | str) -> bytes:

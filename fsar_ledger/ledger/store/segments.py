@@ -105,7 +105,7 @@ def read_segment(
     """
     said_by = names.said_by
     try:
-        handle = disk.open_to_read(f"{ledger}/{file}")
+        handle = os.open(f"{ledger}/{file}", disk.READ)
         with open(handle, "rb") as stream:
             problem = _unfit(file, number, record, os.fstat(handle), said_by)
             if problem is not None:
@@ -115,7 +115,7 @@ def read_segment(
     except FileNotFoundError:
         raise
     except OSError as error:
-        return b"", _no_segment(file, number, record, f"an unreadable file ({error.strerror})")
+        return b"", _no_segment(file, number, record, f"an unreadable file ({disk.reason(error)})")
     if digest.hexdigest() != record.segment_sha256:
         expected = f"{record.segment_sha256}, as {said_by} says"
         return b"", Problem(file, f"SHA-256 {digest.hexdigest()}", expected, commit=number, field="segment_sha256")
