@@ -208,8 +208,8 @@ def started_of(recipe: Recipe, origin: RunStarted | None = None) -> RunStarted:
 def recorded_recipe(started: RunStarted, event_count: int) -> Recipe:
     """Return the inputs of the run with this event 0. Raises: CannotReplay."""
     if started.kind != "simulated":
-        expected = "a simulated run, or a live one with its commands"
-        raise CannotReplay("kind", expected, f"a {started.kind} run, whose commands are not stored")
+        found = f"a {started.kind} run, whose commands are not stored"
+        raise CannotReplay("kind", "a simulated run, or a live one with its commands", found)
     _require_our_model(started)
     try:
         spec = msgspec.convert({name: getattr(started, name) for name in RunSpec.__struct_fields__}, RunSpec)
@@ -220,8 +220,7 @@ def recorded_recipe(started: RunStarted, event_count: int) -> Recipe:
         for constants in (recipe.constants, *constants_by_time(recipe).values()):
             most = FACTS_PER_ROBOT * spec.fleet_size + event_count
             if not arrivals_expected(constants, spec.fleet_size) <= most:
-                expected = f"rates of the world that make at most {most} facts"
-                raise CannotReplay("parameters", expected, "rates that make more")
+                raise CannotReplay("parameters", f"rates that make at most {most} facts", "rates that make more")
         require_possible(recipe)
     except BadParameters as error:
         raise CannotReplay("parameters", "the constants of the model", str(error).removeprefix("found ")) from error
