@@ -211,6 +211,7 @@ def test_each_command_says_which_version_is_needed(
     assert "Traceback" not in printed
 
 
+@pytest.mark.slow
 def test_an_unknown_event_type_is_refused_with_its_place_and_what_to_do(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

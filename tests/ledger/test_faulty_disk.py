@@ -70,6 +70,7 @@ def test_a_call_that_the_harness_does_not_know_is_refused(tmp_path: Path) -> Non
         FaultyOs(tmp_path).truncate(tmp_path / "x", 0)
 
 
+@pytest.mark.slow
 def test_where_the_power_takes_nothing_the_model_holds_what_the_disk_holds(tmp_path: Path) -> None:
     root = tmp_path / "whole"
     root.mkdir()

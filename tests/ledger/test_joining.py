@@ -107,6 +107,7 @@ def test_a_ledger_verifies_without_the_compiled_function(tmp_path: Path, monkeyp
     assert contents(tmp_path / "ledger") == before
 
 
+@pytest.mark.slow
 def test_no_cycle_holds_the_columns_of_a_table() -> None:
     """A process that reads segment after segment would hold them until the collector comes by."""
     table = encode([made_up_run("run", 40, 1)])

@@ -94,6 +94,7 @@ def test_a_checkpoint_that_is_no_note_of_the_newest_commits_is_refused(path: Pat
         open_for_answers(path)
 
 
+@pytest.mark.slow
 def test_threads_that_read_a_journal_as_a_segment_for_the_first_time_read_all_of_it() -> None:
     for number in range(20):
         table = encode([made_up_run(f"r{number}", 40, number)])

@@ -115,6 +115,7 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return found
 
 
+@pytest.mark.slow
 def test_a_question_about_runs_reads_no_event_where_their_beginnings_are_known(
     ledger: Path, cached: pa.Table, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,6 +5,8 @@ from collections.abc import Iterable
 from itertools import product
 from random import Random
 
+import pytest
+
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Robot
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
@@ -76,6 +78,7 @@ def in_force(database: Database, at_us: int, capability: str, context: str) -> d
     return {(one["run_id"], one["robot"], one["scope"]): one["outcome"] for one in found}
 
 
+@pytest.mark.slow
 def test_handlers_and_queries_find_the_same_rules_of_robot_role_domain_capability_and_context() -> None:
     runs = {f"r{seed}": history(seed) for seed in range(50)}
     rows = [

@@ -337,7 +337,7 @@ SETTINGS = settings(
     phases=(Phase.generate,),
 )
 TestFederation = Federation.TestCase
-TestFederation.settings = settings(SETTINGS, derandomize=True, max_examples=8)
+TestFederation.settings = settings(SETTINGS, derandomize=True, max_examples=4)
 
 
 def soak(steps: int) -> None:

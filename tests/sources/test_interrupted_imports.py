@@ -101,6 +101,7 @@ def test_a_pipe_of_the_shell_gives_a_run_no_number_for_a_name() -> None:
         assert (pipe.name, pipe.path) == ("pipe", None)
 
 
+@pytest.mark.slow
 def test_two_imports_of_two_runs_at_once_are_both_whole(tmp_path: Path) -> None:
     night, failures = filed(tmp_path, vda.long_night(900)), list[BaseException]()
     imported(tmp_path / "ledger", filed(tmp_path, [ONE], "first.jsonl"), run="first")
