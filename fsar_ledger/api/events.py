@@ -31,7 +31,7 @@ from fsar_ledger.metrics.verified import is_verified
 
 from .log import ALL
 from .lookup import resolve_run, resting_on_rows, robot_of, run_time
-from .names import Run, Time, microseconds, names_of
+from .names import Run, Time, microseconds, separated
 from .table import Table
 
 if TYPE_CHECKING:
@@ -223,8 +223,7 @@ def asked_of(
 
 def concerns_of(about: str | Sequence[str] | None) -> tuple[str, ...]:
     """Return the concerns of these words, which may be plural and separated by commas. Raises: As `known_names`."""
-    words = [word.strip() for text in names_of(about) or () for word in text.split(",")]
-    return known_names("concern", [_PLURALS.get(word, word) for word in words], CONCERNS)
+    return known_names("concern", [_PLURALS.get(word, word) for word in separated(about)], CONCERNS)
 
 
 def timeline(database: Database, asked: LogRequest) -> Table:

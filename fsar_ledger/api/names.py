@@ -149,6 +149,11 @@ def names_of(asked: str | Sequence[str] | None) -> list[str] | None:
     return [asked] if isinstance(asked, str) else None if asked is None else list(asked)
 
 
+def separated(asked: str | Sequence[str] | None) -> list[str]:
+    """Return the words of one text or several, in which commas separate them; none for None."""
+    return [word.strip() for text in names_of(asked) or () for word in text.split(",")]
+
+
 def require_whole(**given: object) -> None:
     """Require that each of these parameters is a whole number, or None. Raises: UsageError, which names it."""
     for name, value in given.items():

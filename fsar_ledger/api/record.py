@@ -16,7 +16,7 @@ from fsar_ledger.base.progress import Progress
 from .answers import Answer, Screen, head_json
 from .key import origin_of as named_origin
 from .key import signer_of
-from .names import Names, Place, names_of
+from .names import Names, Place, separated
 from .verbs import AdoptOption, Gives, KeyOption, OriginOption, Shows, argument, declare, switch, verb
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def record(
     return Recorder(
         Path(out),
         fleet=fleet,
-        observes=[name.strip() for text in names_of(observes) or () for name in text.split(",")],
+        observes=separated(observes),
         run=run,
         source=source,
         epoch=epoch,

@@ -129,15 +129,13 @@ class Uncertain(OSError):
 
 def refusal(path: Path, doing: str, error: OSError, outcome: str = "this commit was not made") -> WriteFailed:
     """Return the error for an operation that the disk refused, with its outcome."""
-    reason = error.strerror or str(error)
+    why = error.strerror or str(error)
     if isinstance(error, Uncertain):
         return WriteFailed(
-            f"{path}: {doing} failed: {reason}; it is unknown whether the commit is there: make room or permit "
+            f"{path}: {doing} failed: {why}; it is unknown whether the commit is there: make room or permit "
             "writing there, open the ledger again, and append what it lacks"
         )
-    return WriteFailed(
-        f"{path}: {doing} failed: {reason}; {outcome}; make room or permit writing there, and run it again"
-    )
+    return WriteFailed(f"{path}: {doing} failed: {why}; {outcome}; make room or permit writing there, and run it again")
 
 
 @contextmanager
