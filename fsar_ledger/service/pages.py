@@ -25,6 +25,7 @@ from fsar_ledger.projections.task import given_up_us
 from fsar_ledger.projections.trust import scope_of
 from fsar_ledger.runtime.handlers.public import PublicCommand, commands, own_fields
 from fsar_ledger.runtime.handlers.supervision import is_open
+from fsar_ledger.runtime.live import MOST
 
 from . import KINDS
 
@@ -224,6 +225,7 @@ def described() -> dict[str, Any]:
     schemas, components = msgspec.json.schema_components(
         [_fields(kind) for kind in kinds.values()], ref_template="#/components/schemas/{name}"
     )
+    _limit(components)
     schema_of = dict(zip(kinds, schemas, strict=True))
     components["Decision"] = _DECISION
     components["Error"] = {"type": "object", "required": ["error"], "properties": {"error": {"type": "string"}}}
@@ -249,6 +251,18 @@ def described() -> dict[str, Any]:
         "paths": paths,
         "components": {"schemas": components, "securitySchemes": {"token": {"type": "http", "scheme": "bearer"}}},
     }
+
+
+def _limit(schema: Any) -> None:
+    """Add what a command refuses beyond its types: text that cannot be printed, and numbers of more than 2^50."""
+    match schema:
+        case {"type": "string"}:
+            schema["pattern"] = r"^(?: |[^\p{C}\p{Z}])*$"  # as in ECMA-262 with the flag u
+        case {"type": "integer"}:
+            schema |= {"minimum": -MOST, "maximum": MOST}
+        case dict() | list():
+            for part in schema.values() if isinstance(schema, dict) else schema:
+                _limit(part)
 
 
 def summary(kind: type[Any]) -> str:

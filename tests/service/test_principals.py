@@ -2,10 +2,12 @@
 
 import hmac
 import os
+from contextlib import nullcontext
 from pathlib import Path
 
 import msgspec
 import pytest
+import regex
 
 from fsar_ledger.base.errors import UsageError, WriteFailed
 from fsar_ledger.runtime.handlers.public import commands, own_fields
@@ -133,6 +135,20 @@ def test_the_description_has_every_command_with_its_fields_and_what_must_be_give
         assert f"id={name}>" in page("day")
     assert "Work" not in commands()
     assert all(f"<code>{kind}/" in page("day") for kind in KINDS)
+
+
+def test_the_description_says_which_text_and_numbers_a_command_refuses() -> None:
+    schemas = described()["components"]["schemas"]
+    pattern = schemas["SetTrust"]["properties"]["robot"]["pattern"]
+    assert pattern == schemas["SubmitTask"]["properties"]["steps"]["items"]["pattern"]
+    allowed = regex.compile(pattern)
+    for text in ("", "a b", "任务", "é", "a\u00a0b", "\u200b", "\ue000", "\n", "\U00037bca", "\x85"):
+        assert bool(allowed.fullmatch(text)) is text.isprintable(), ascii(text)
+    number = schemas["SubmitTask"]["properties"]["budget_us"]
+    for budget_us in (number["maximum"], number["maximum"] + 1):
+        fields = {"task_id": "t", "robot": "robot/A1", "steps": ["A inspect.visual"], "budget_us": budget_us}
+        with nullcontext() if budget_us == number["maximum"] else pytest.raises(UsageError, match="2\\^50"):
+            command_given("SubmitTask", "robot/A1", fields)
 
 
 def test_the_page_shows_a_name_that_is_no_markup() -> None:
