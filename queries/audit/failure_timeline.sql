@@ -50,9 +50,7 @@ SELECT
     time_us / 1000000 AS time_s,
     until_us / 1000000 AS until_s,
     decided_by, what,
-    -- In a live fleet a helper may say no although it is not busy.
-    if(result = 'busy', 'declined', result) AS result,
-    achieved,
+    result, achieved,
     (deadline_us - detected_us) / 1000000 AS budget_s,
     if(bool_and(since_us + over_us IS NOT NULL) OVER stay, max(over_us) OVER stay - min(since_us) OVER stay, NULL)
     / 1000000 AS spent_s

@@ -27,7 +27,7 @@ refused AS (
                         WHEN events.executed_by IS NOT NULL OR offered.seq < events.seq THEN 'no answer'
                         WHEN list_contains(runs.observes, 'registry') THEN 'no candidate'
                     END
-            WHEN 'AssistanceDeclined.v1' THEN 'helper busy'
+            WHEN 'AssistanceDeclined.v1' THEN 'helper declined'
             WHEN 'RequestCountered.v1' THEN 'override'
             ELSE events.reason
         END AS reason,

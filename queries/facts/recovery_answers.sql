@@ -9,7 +9,7 @@ SELECT
     run_id, seq, action_id, failure, number, helper,
     if(type = 'RecoveryAttemptFailed.v1', 'RecoveryAttempted.v1', 'AssistanceRequested.v1') AS question,
     CASE type
-        WHEN 'AssistanceDeclined.v1' THEN 'busy'
+        WHEN 'AssistanceDeclined.v1' THEN 'declined'
         WHEN 'AssistanceFailed.v1' THEN 'no help: ' || cause
         ELSE result
     END AS answer,

@@ -66,10 +66,10 @@ SELECT
         WHEN steps.type = 'ReassignmentDecided.v1' THEN 'to ' || concat_ws(' from ', steps.helper, steps.checkpoint)
         WHEN steps.type = 'SupervisorCalled.v1' THEN if(steps.resolved_level = 'human', 'resolved', NULL)
         WHEN answers.answer IS NOT NULL OR steps.next_type IS NULL THEN answers.answer
-        WHEN steps.type = 'RecoveryAttempted.v1'
-            THEN if(steps.next_type = 'FailureResolved.v1', 'success', 'failure')
-        WHEN steps.type = 'AssistanceRequested.v1'
-            THEN if(steps.next_type = 'FailureResolved.v1', 'helped', 'no help')
+        WHEN steps.type = 'RecoveryAttempted.v1' AND steps.next_type <> 'FailureResolved.v1' THEN 'failure'
+        WHEN steps.type = 'AssistanceRequested.v1' AND steps.next_type <> 'FailureResolved.v1' THEN 'no help'
+        WHEN steps.type = 'RecoveryAttempted.v1' AND steps.level = steps.resolved_level THEN 'success'
+        WHEN steps.type = 'AssistanceRequested.v1' AND steps.level = steps.resolved_level THEN 'helped'
     END AS result,
     answers.achieved
 FROM steps

@@ -23,7 +23,7 @@ WITH reasons (reason, conjunct) AS (
     ('no candidate', NULL),
     ('no answer', NULL),
     ('no channel', NULL),
-    ('helper busy', NULL)
+    ('helper declined', NULL)
 )
 
 SELECT

@@ -17,16 +17,19 @@ WITH named AS (
 ),
 
 robots AS (
-    -- agent/A1/planning is a part of robot/A1.
+    -- agent/A1/planning is a part of robot/A1. A robot that no record names shows nothing.
     SELECT
-        fleet_members.run_id,
-        count(DISTINCT named.principal) AS parts
-    FROM fleet_members
-    LEFT JOIN named
+        members.run_id,
+        count(DISTINCT named.principal) FILTER (named.principal <> members.robot) AS parts
+    FROM fleet_members AS members
+    INNER JOIN named
         ON
-            fleet_members.run_id = named.run_id
-            AND starts_with(named.principal, 'agent/' || fleet_members.robot[7:] || '/')
-    GROUP BY fleet_members.run_id, fleet_members.robot
+            members.run_id = named.run_id
+            AND (
+                members.robot = named.principal
+                OR starts_with(named.principal, 'agent/' || members.robot[7:] || '/')
+            )
+    GROUP BY members.run_id, members.robot
 ),
 
 assignments AS (

@@ -89,6 +89,12 @@ def test_a_helper_helped_or_declined_and_a_reassignment_names_its_checkpoint() -
     assert asked("failure_timeline", "result", failed(10 * S), moved, resolved)[0] == (f"to {C} from t1/1",)
 
 
+def test_nobody_is_credited_with_what_another_level_resolved() -> None:
+    helped = step("AssistanceRequested", 31 * S, "peer", helper=C)
+    for last in (TO_THE_END[1], helped):
+        assert asked("failure_timeline", "result", failed(10 * S), last, RESOLVED) == [(None,), (None,)]
+
+
 def test_each_failure_of_an_action_has_its_own_timeline() -> None:
     second = {**step("RecoveryAttempted", 91 * S, "local", number=1, deadline_us=120 * S), "failure": 2}
     rows = asked("failure_timeline", "failure step what", *TO_THE_END, failed(90 * S, 2), second)

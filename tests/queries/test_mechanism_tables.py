@@ -129,7 +129,7 @@ def made_otherwise(query: str, *events: Row, **dimensions: Any) -> tuple[list[Ro
 
 
 def test_features_of_runs_made_otherwise_are_marked_apart() -> None:
-    alone, together = made_otherwise("tables/architecture_features", *JOINED)
+    alone, together = made_otherwise("tables/architecture_features", *JOINED, asked())
     assert len(together) == 8 * (1 + len(OTHERWISE))
     dimensions = ("architecture", "configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
     assert len({tuple(row[name] for name in dimensions) for row in together}) == 1 + len(OTHERWISE)

@@ -294,7 +294,7 @@ def test_refusals_are_counted_by_type_reason_and_decider() -> None:
         event("AssistanceDeclined", 5, helper="robot/C1", robot="robot/B1"),
     )
     assert asked("refusals", "reason decided_by refusals first_us last_us", *events, *others) == [
-        ("helper busy", "robot/C1", 1, 5, 5),
+        ("helper declined", "robot/C1", 1, 5, 5),
         ("policy", "robot/B1", 2, 1, 2),
         ("policy", "robot/C1", 1, 3, 3),
         ("no candidate", "robot/A1", 1, 4, 4),

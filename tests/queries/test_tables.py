@@ -70,10 +70,17 @@ def test_nothing_is_graded_that_no_event_could_show() -> None:
 def test_a_robot_is_one_agent_until_an_agent_in_it_appears() -> None:
     assert grades(*JOINED, asked())["single_agent_robot"] == "full"
     assert grades(*JOINED, asked("agent/A1/planning"))["single_agent_robot"] == "none"
-    many = tuple(
-        event("RobotJoined", robot=f"robot/A{number}", role="A", team=number, supervisor=None) for number in range(1, 6)
+    robots = [f"robot/A{number}" for number in range(1, 6)]
+    many = (
+        *(event("RobotJoined", robot=robot, role="A", team=1, supervisor=None) for robot in robots),
+        *({**asked("agent/A1/planning"), "requested_by": robot} for robot in robots),
     )
-    assert grades(*many, asked("agent/A1/planning"))["single_agent_robot"] == "partial"
+    assert grades(*many)["single_agent_robot"] == "partial"
+
+
+def test_a_robot_that_no_record_names_appears_as_nobody() -> None:
+    assert evidence("single_agent_robot", *JOINED, asked()) == "robots that appear as one principal 2/2"
+    assert evidence("single_agent_robot", *JOINED) == "robots that appear as one principal not shown"
 
 
 def test_agents_are_within_robots_when_a_robot_has_two() -> None:
