@@ -68,6 +68,14 @@ def test_an_answer_is_the_same_where_messages_have_nowhere_to_go(ledger: Path, c
     assert with_closed(ledger / "nothing", call, 2).returncode == 2
 
 
+@pytest.mark.parametrize(
+    "call", few(["record LEDGER --run night", "import LEDGER - --as mcap"], ["import LEDGER - --as mcap"])
+)
+def test_standard_input_that_is_closed_is_empty(tmp_path: Path, call: str) -> None:
+    done = with_closed(tmp_path / "ledger", call, 0)
+    assert (done.returncode, "Traceback" in done.stderr) == (2 if "import" in call else 0, False), done.stderr
+
+
 def with_closed(ledger: Path, call: str, stream: int) -> subprocess.CompletedProcess[str]:
     """Run the command with this stream closed."""
     words = call.replace("LEDGER", f'"{ledger}"')
