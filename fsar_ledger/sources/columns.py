@@ -21,7 +21,7 @@ from fsar_ledger.events.envelope import COORDINATOR, flat
 from fsar_ledger.events.request import RequestAdmitted
 from fsar_ledger.events.source import Observed
 from fsar_ledger.events.world import PolicyWindowOpened
-from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, RECORDS, StoredType
+from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER, OPENINGS, RECORDS, StoredType
 
 from .adapter import BOM, MAX_LINE
 
@@ -108,8 +108,12 @@ def laid_out(layout: StoredType, columns: Mapping[str, Any]) -> Event:
     except msgspec.ValidationError as error:
         raise UsageError(_flaw(layout, f"{error}")) from error
     require_names(event)
-    for name in MEASURES & columns.keys():
-        if isinstance(number := columns[name], int) and number < 0:
+    for name, number in columns.items():
+        if not isinstance(number, int):
+            continue
+        if abs(number) > MAX_INTEGER:
+            raise UsageError(f"field {name}: found {number}, expected at most 2^53 - 1 in size")
+        if name in MEASURES and number < 0:
             raise UsageError(f"field {name}: found {number} in {type(event).__name__}, expected 0 or more")
     require_outcome(event)
     return event

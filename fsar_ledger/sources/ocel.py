@@ -24,7 +24,7 @@ import msgspec
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import escaped
 from fsar_ledger.events import CONCERN_OF, Event
-from fsar_ledger.ledger.rows.schema import MAX_INTEGER, RECORDS, Field
+from fsar_ledger.ledger.rows.schema import RECORDS, Field
 
 from .adapter import Derived, Input, Record, json_text
 from .columns import LAYOUT_OF, OUTCOMES, laid_out
@@ -190,8 +190,6 @@ def _value(field: Field, value: Any) -> Any:
 
 def _event(kind: str, row: dict[str, Any]) -> Event | None:
     """Return our event with these columns; None if it lacks one or has one that a ledger cannot hold."""
-    if any(isinstance(value, int) and abs(value) > MAX_INTEGER for value in row.values()):
-        return None
     if (outcome := OUTCOMES.get(kind)) is not None and row.get(outcome) is None:
         return None
     try:

@@ -149,6 +149,12 @@ def test_a_record_that_lacks_a_value_or_has_another_kind_is_not_understood(data:
     assert derived(data, DONE) is None
 
 
+def test_a_record_with_a_number_that_no_ledger_holds_is_not_understood_and_ends_no_import() -> None:
+    arrived = rule("TaskArrived", task_id="/job", budget_us="/budget")
+    assert event({"job": "t", "budget": 2**53 - 1}, arrived).budget_us == 2**53 - 1
+    assert derived({"job": "t", "budget": 2**53}, arrived) is None
+
+
 def test_a_record_that_does_not_tell_how_something_ended_has_not_ended_well() -> None:
     finished = rule("ExecutionFinished", **FINISHED | {"result": "/result"})
     data = {"job": "t", "robot": "A1"}
