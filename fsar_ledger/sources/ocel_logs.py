@@ -19,6 +19,9 @@ from .adapter import BROKEN, OBJECT, RAW_LIST, RAW_OBJECT, Input, Record, unread
 SQLITE = b"SQLite format 3\0"
 TABLES = ("event", "event_map_type", "event_object", "object", "object_map_type", "object_object")
 ENVELOPE = ("ocel_id", "ocel_time", "ocel_changed_field")
+TIME_ORDER = "utc_us(CASE typeof(ocel_time) WHEN 'text' THEN CAST(ocel_time AS BLOB) ELSE ocel_time END)"
+NO_TIME = -(1 << 62)
+"""Before every time, as NULL is in SQLite."""
 MAX_US = 4_000_000_000_000_000
 """More than a century around 1970: not every reader of JSON keeps larger whole numbers."""
 
@@ -73,6 +76,8 @@ class JsonLog:
 
     def __init__(self, name: str, text: bytes) -> None:
         expected = "expected a log of OCEL 2.0: an object with events and objects"
+        if text.lstrip().startswith(b"<"):
+            raise UsageError(f"{name}: found XML, expected OCEL 2.0 in JSON or SQLite; convert it, as pm4py can")
         try:
             top = RAW_OBJECT.decode(text)
         except BROKEN as error:
@@ -162,6 +167,7 @@ class SqliteLog:
         try:
             with closing(sqlite3.connect(f"file:{quote(str(self._path.resolve()))}?mode=ro", uri=True)) as database:
                 database.text_factory = lambda text: text.decode(errors="backslashreplace")
+                database.create_function("utc_us", 1, _stored_us, deterministic=True)
                 database.execute("PRAGMA trusted_schema = OFF")
                 yield database
         except (sqlite3.Error, UnicodeError) as error:
@@ -189,20 +195,27 @@ class SqliteLog:
                     yield _item_with_relations(database, str(name), kind, None, None, attributes)
 
     def events(self) -> Iterator[Item | Record]:
-        """Yield the events by time, and by their position in their table where times are equal."""
+        """Yield the events by time, those without one first, and by their position where times are equal."""
         with self._opened() as database:
             _index(database, "event_object", "ocel_event_id", "ocel_object_id")
             tables = [_events(database, kind, table) for kind, table in _types(database, "event")]
-            for text, _, name, kind, values in heapq.merge(*tables, key=lambda row: row[:2]):
-                yield _item_with_relations(database, name, kind, text or None, time_us(text), tuple(values.items()))
+            for time, _, name, kind, text, values in heapq.merge(*tables, key=lambda row: row[:2]):
+                own_us = None if time == NO_TIME else time
+                yield _item_with_relations(database, name, kind, text or None, own_us, tuple(values.items()))
 
 
-_Event = tuple[str, int, str, str, dict[str, Any]]
+_Event = tuple[int, int, str, str, str, dict[str, Any]]
 
 
 def _events(database: sqlite3.Connection, kind: str, table: str | None) -> Iterator[_Event]:
     for position, name, time, values in _rows(database, "event", kind, table):
-        yield str(time or ""), position, str(name), kind, values
+        own_us = time_us(time)
+        yield NO_TIME if own_us is None else own_us, position, str(name), kind, str(time or ""), values
+
+
+def _stored_us(time: object) -> int | None:
+    """Return the time of a column; its text comes as bytes, since it may be no UTF-8."""
+    return time_us(time.decode(errors="replace") if isinstance(time, bytes) else time)
 
 
 def _quoted(name: str) -> str:
@@ -232,9 +245,8 @@ def _rows(
         if strays:
             raise sqlite3.DatabaseError(f"found {strays} rows of {table} that {part} does not have")
         table_columns = {str(name) for _, name, *_ in database.execute(f"PRAGMA table_info({table})")}
-        order = (
-            "ocel_time, place" if part == "event" else "place, ocel_time" if "ocel_time" in table_columns else "place"
-        )
+        order = f"{TIME_ORDER}, place" if part == "event" else "place"
+        order += f", {TIME_ORDER}" if part == "object" and "ocel_time" in table_columns else ""
         cursor = database.execute(
             f"SELECT * FROM ({query}) AS own LEFT JOIN {table} AS told ON own.name = told.ocel_id ORDER BY {order}",
             (kind,),

@@ -108,6 +108,27 @@ def test_a_database_says_what_the_same_log_says_in_json(imported: Import, tmp_pa
     assert told(imported(found)) == told(imported(database(tmp_path / "log.sqlite", found)))
 
 
+def test_events_of_a_database_are_in_order_of_time_however_their_times_are_written(
+    imported: Import, tmp_path: Path
+) -> None:
+    """As texts, `10:00:00Z` comes after `10:00:00.500Z`, and `12:00:01+02:00` after both and `10:00:03Z`."""
+    times = ["10:00:00Z", "10:00:00.500Z", "12:00:01+02:00", "10:00:03Z"]
+    kinds = ["started", "ended"] * 2
+    events = [event(f"e{at}", kind, 0) for at, kind in enumerate(kinds)]
+    for one, time in zip(events, times, strict=True):
+        one["time"] = f"2026-03-01T{time}"
+    found = rows(imported(database(tmp_path / "log.sqlite", log(events))), "Observed")
+    assert [(row["kind"], row["time_us"]) for row in found] == list(
+        zip(kinds, [0, 500_000, 1_000_000, 3_000_000], strict=True)
+    )
+
+
+def test_an_event_whose_time_is_no_text_in_a_database_is_on_record(imported: Import, tmp_path: Path) -> None:
+    path = database(tmp_path / "a.sqlite", orders())
+    edited(path, "UPDATE event_packitem SET ocel_time = CAST(x'ff' AS TEXT)")
+    assert imported(edited(path, "UPDATE event_placeorder SET ocel_time = 1772359210")).made.records == 5
+
+
 def test_a_run_that_is_honest_and_complete_offends_nothing(imported: Import) -> None:
     assert verdicts(imported(log(honest_events(), also=CONTEXT))) == (set(), set())
 
@@ -280,6 +301,7 @@ def test_an_event_with_an_odd_time_is_on_record(imported: Import, time: object) 
         (b'{"resourceSpans": []}', "found an object with resourceSpans"),
         (b'{"ocel:events": {}}', "found OCEL 1.0"),
         (b"[1]", "expected a log of OCEL 2.0"),
+        (b'\n<?xml version="1.0"?><log></log>', "found XML, expected OCEL 2.0 in JSON or SQLite"),
         (written(orders())[:-20], "expected a log of OCEL 2.0: an object with events and objects, whole"),
         (b'{"events": {}, "objects": []}', "expected a log of OCEL 2.0"),
         (b'{"events": [], "objects": [], "eventTypes": 7}', "expected a log of OCEL 2.0"),
