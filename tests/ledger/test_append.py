@@ -1,5 +1,6 @@
 import os
 import pickle
+import select
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from fsar_ledger.ledger.log.note import Note, checkpoint_of
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.codec import encode_hashed
-from fsar_ledger.ledger.store import paths, prepare
+from fsar_ledger.ledger.store import disk, paths, prepare
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.record import EMPTY_HEAD
 from fsar_ledger.ledger.store.staging import stage
@@ -231,3 +232,22 @@ def test_a_closed_writer_appends_nothing(path: Path) -> None:
         staged = stage(path, BATCHES[0])
     with pytest.raises(WriteFailed, match="closed"):
         writer.append(staged)
+
+
+def test_a_process_that_was_forked_waits_for_its_turn_as_any_other_does(tmp_path: Path) -> None:
+    """A lock is of an open file, which a fork shares: both processes wrote at once, and lost what one had been told."""
+    turn = disk.FolderLock(tmp_path)
+    heard, tells = os.pipe()
+    with turn:
+        if not (child := os.fork()):
+            try:
+                with turn:
+                    os.write(tells, b"x")
+            finally:
+                os._exit(0)
+        assert select.select([heard], [], [], 0.1) == ([], [], [])
+    assert select.select([heard], [], [], 30)[0] == [heard]
+    os.waitpid(child, 0)
+    turn.close()
+    os.close(heard)
+    os.close(tells)

@@ -354,15 +354,18 @@ def lock_if_free(folder: Path) -> Iterator[bool]:
 
 
 class FolderLock:
-    """A reusable exclusive lock on this folder, which is opened once.
+    """A reusable exclusive lock on this folder, which is opened once in each process.
 
     Use it as a context manager. Raises: LedgerCorrupted if the folder cannot be opened.
     """
 
     def __init__(self, folder: Path) -> None:
-        self._handle = _opened(folder)
+        self._folder, self._handle, self._process = folder, _opened(folder), os.getpid()
 
     def __enter__(self) -> None:
+        if self._process != os.getpid():  # after a fork both processes hold what either holds through this handle
+            self.close()
+            self._handle, self._process = _opened(self._folder), os.getpid()
         try:  # `suppress` would take as long as the call
             fcntl.flock(self._handle, fcntl.LOCK_EX)
         except OSError:
