@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 
 from fsar_ledger.base import printable
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.ledger.rows import codec, segment
+from fsar_ledger.ledger.rows import codec
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
 from fsar_ledger.ledger.store.locations import chain_of, event_count
 from fsar_ledger.ledger.store.read import View
@@ -31,7 +31,7 @@ def commits_of(view: View, run: str) -> list[tuple[int, int]]:
     for name in chain_of(view, run):
         parts = view.parts(name)
         for number in view.segments_of(parts):
-            table = segment.read_table(view.segment(number), ["run_id", "seq"])
+            table = view.table(number, ["run_id", "seq"])
             positions = np.flatnonzero(pc.equal(table.column("run_id"), name).to_numpy())
             commits, firsts = np.unique(
                 np.searchsorted(sizes, positions + view.first(number), "right"), return_index=True

@@ -5,7 +5,6 @@ segments that share runs, with one in memory at a time.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -13,7 +12,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from fsar_ledger.base import printable
-from fsar_ledger.base.errors import UsageError, option
+from fsar_ledger.base.errors import SequenceConflict, UsageError, option
 from fsar_ledger.designs.registered import known_names
 from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.events.envelope import flat
@@ -268,9 +267,12 @@ def stream(
         carried = None
         for group in whole_groups(view):
             if view.end(group[-1]) > first:
-                with _database(view, group) as database:
-                    lines = _lines(database, asked, _untold(view, first) if view.first(group[0]) < first else None)
-                    carried = _carried(database, view) if is_long and group[-1] == len(view.releases) - 1 else None
+                untold = _untold(view, first) if view.first(group[0]) < first else None
+                carries = is_long and group[-1] == len(view.releases) - 1
+                try:
+                    lines, carried = _lines_of(view, group, asked, untold, carries)
+                except SequenceConflict:  # a compaction replaced a segment; the view now has a copy of its rows
+                    lines, carried = _lines_of(view, group, asked, untold, carries)
                 yield Table(lines, provenance)
 
 
@@ -354,13 +356,14 @@ def _among(database: Database, chosen: str, values: Mapping[str, Value] | None =
     return [f"(run_id, seq) IN ({chosen})", f"seq BETWEEN {bounds['first']} AND {bounds['last']}"]
 
 
-@contextmanager
-def _database(view: View, group: Sequence[int]) -> Iterator[Database]:
-    """Yield a database over these segments."""
+def _lines_of(
+    view: View, group: Sequence[int], asked: LogRequest, untold: pa.Table | None, carries: bool
+) -> tuple[pa.Table, _Carried | None]:
+    """Return the requested lines of these segments, and what later lines may need if it `carries` something over."""
     segments, releases = [view.segment(number) for number in group], view.releases
     with Database(view.head, segments) as database:
         relation.hold_segments(database, segments, [releases[number] for number in group])
-        yield database
+        return _lines(database, asked, untold), _carried(database, view) if carries else None
 
 
 def _untold(view: View, first: int) -> pa.Table:

@@ -14,12 +14,14 @@ from fsar_ledger import Ledger
 from fsar_ledger.api import events
 from fsar_ledger.api.events import Filter, LogRequest, about_of
 from fsar_ledger.api.table import Table
-from fsar_ledger.base.errors import LedgerCorrupted, UsageError
+from fsar_ledger.base.errors import LedgerCorrupted, SequenceConflict, UsageError
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.ledger.rows.schema import CONCERNED
 from fsar_ledger.ledger.store import append
 from fsar_ledger.ledger.store.read import View
+from fsar_ledger.metrics import relation
+from fsar_ledger.metrics.database import Database
 from tests.api.conftest import RUN
 from tests.metrics.test_long_runs import weeks
 from tests.queries.histories import run
@@ -205,3 +207,25 @@ def test_a_stream_that_waits_cannot_demand_verified_rows(ledger: Ledger) -> None
     with pytest.raises(UsageError, match="later"):
         fsar_ledger.open_ledger(ledger.path, verified=True).stream_log(pause=waits_once)
     assert sum(map(len, fsar_ledger.open_ledger(ledger.path, verified=True).stream_log())) == ledger.head.size
+
+
+def test_a_compaction_is_no_damage_and_ends_no_stream(
+    copy: Path, every_line: list[Row], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It removes segments that were there when the ledger was opened, and that are still to be read."""
+    held = relation.hold_segments
+
+    def compacted_first(database: Database, segments: list[Path], releases: list[str]) -> None:
+        Ledger(copy).compact()
+        held(database, segments, releases)
+
+    tables = Ledger(copy).stream_log()
+    monkeypatch.setattr(relation, "hold_segments", compacted_first)
+    assert [row for table in tables for row in table] == every_line
+
+
+def test_a_question_during_a_compaction_is_to_be_asked_again(copy: Path) -> None:
+    with Ledger(copy).database() as database:
+        Ledger(copy).compact()
+        with pytest.raises(SequenceConflict, match="a compaction has replaced it meanwhile: run"):
+            database.rows("SELECT count(DISTINCT robot) FROM events")

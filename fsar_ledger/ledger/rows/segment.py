@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from fsar_ledger.base.errors import LedgerCorrupted
+from fsar_ledger.base.errors import LedgerCorrupted, SequenceConflict
 from fsar_ledger.ledger.rows.bounds import MAX_TEXT_BYTES, has_more_text_than, text_bytes
 from fsar_ledger.ledger.rows.grammar import HAS_STATISTICS, path_of
 from fsar_ledger.ledger.rows.layout import Layout, check_layout, read_file
@@ -123,11 +123,19 @@ def _columns(file: pq.ParquetFile, names: list[str], rows: int) -> pa.Table:
     return pa.Table.from_arrays(columns, schema=pa.schema([field for part in parts for field in part.schema]))
 
 
-def first_damage(segments: Sequence[Path]) -> LedgerCorrupted | None:
-    """Return the error of the first segment that cannot be read; None if all can."""
+def first_damage(segments: Sequence[Path]) -> LedgerCorrupted | SequenceConflict | None:
+    """Return the error of the first segment that cannot be read; None if all can.
+
+    One that is gone was there when the ledger was opened: a compaction removes those that it has merged.
+    """
     for path in segments:
         try:
             read_table(path)
         except LedgerCorrupted as damage:
-            return damage
+            if path.exists():
+                return damage
+            return SequenceConflict(
+                f"{path}: found no segment, expected the one that was there when the ledger was opened; a compaction "
+                "has replaced it meanwhile: run the same command again, which says so if it is missing"
+            )
     return None

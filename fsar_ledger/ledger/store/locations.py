@@ -18,7 +18,7 @@ from fsar_ledger.base import printable
 from fsar_ledger.base.errors import LedgerCorrupted, UsageError
 from fsar_ledger.events import Event
 from fsar_ledger.events.fleet import RunContinued
-from fsar_ledger.ledger.rows import codec, segment
+from fsar_ledger.ledger.rows import codec
 from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS, Block, Runs, blocks_of
 from fsar_ledger.ledger.rows.runs import Flaw, LedgerRun, continuing, counted_on, require_alike, require_next, whole_run
 from fsar_ledger.ledger.rows.schema import SCHEMAS, concerns_admitted
@@ -44,7 +44,7 @@ def place_of(view: View, run: str, seq: int) -> int:
     if part is None and seq >= (events := event_count(parts)):
         raise KeyError(events)
     for number in view.segments_of(parts if part is None else [part]):
-        table = segment.read_table(view.segment(number), ["run_id", "seq"])
+        table = view.table(number, ["run_id", "seq"])
         row = pc.index(pc.and_(pc.equal(table["run_id"], run), pc.equal(table["seq"], seq)), True).as_py()
         if row >= 0:
             return view.first(number) + int(row)
@@ -142,7 +142,7 @@ def _segments_of(view: View, runs: Sequence[str]) -> list[int]:
 
 def _rows(view: View, number: int, runs: Sequence[str], size: int | None, columns: list[str] | None = None) -> pa.Table:
     """Return a segment's rows of these runs, among the first `size` events of the ledger (None: all)."""
-    table = segment.read_table(view.segment(number), columns)
+    table = view.table(number, columns)
     table = table.slice(0, len(table) if size is None else max(0, size - view.first(number)))
     return table.filter(pc.is_in(table["run_id"], pa.array(runs)))
 

@@ -16,7 +16,7 @@ from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier, consistency_proof, is_consistent
 from fsar_ledger.ledger.log.note import Checkpoint, Note, VerifierKey, doubt, parse_note
-from fsar_ledger.ledger.rows import canonical, segment
+from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.derived import derived_sizes, line_of
@@ -337,7 +337,7 @@ def write_copy(trusted: TrustedPart, work: Path) -> None:
             os.fsync(target.fileno())
         within = view.commits.within(placement.first, placement.end)
         trusted_commits = [commit for commit in within if commit.number < trusted.commits]
-        line = line_of(placement.first, segment.read_table(view.segment(number)))
+        line = line_of(placement.first, view.table(number))
         lines += [_relinked(commit, chain) for commit in trusted_commits]
         lines.append(_relinked(_adding(placement, line), chain))
     if lines:
