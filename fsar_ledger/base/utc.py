@@ -28,6 +28,22 @@ def microseconds(when: datetime) -> int:
     return (when - EPOCH) // MICROSECOND
 
 
+def read_us(time: object) -> int | None:
+    """Return microseconds since 1970 from ISO 8601 (UTC without a zone), or from a number; None for anything else.
+
+    The size of a number shows its unit: in 2001 to 2286 s, ms, us and ns since 1970 have 10, 13, 16 and 19 digits.
+    """
+    if isinstance(time, int | float):
+        candidates = (time * 10**6, time * 1000, time, time // 1000)
+        return next((round(us) for us in candidates if 10**15 <= us < 10**16), None)
+    if not isinstance(time, str):
+        return None
+    try:
+        return microseconds(parsed(time))
+    except ValueError:
+        return None
+
+
 def shown_us(time_us: int, timespec: str = "auto") -> str:
     """Return a time in microseconds since 1970 as the text of `iso_text`."""
     return iso_text(EPOCH + time_us * MICROSECOND, timespec)

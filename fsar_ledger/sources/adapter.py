@@ -6,6 +6,7 @@ line is reported, and the lines after it are read all the same.
 """
 
 import io
+import json
 import os
 import sys
 import tomllib
@@ -20,7 +21,6 @@ from typing import Any, BinaryIO, Literal, NamedTuple, Protocol, TypeVar
 
 import msgspec
 
-from fsar_ledger.base import utc
 from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.base.printable import did_you_mean, value
 from fsar_ledger.events import Event
@@ -37,8 +37,8 @@ COMPRESSED = {b"\x1f\x8b": "zcat", b"\x28\xb5\x2f\xfd": "zstdcat", b"BZh": "bzca
 """The first bytes of a compressed file, and the command that writes it uncompressed."""
 
 One = TypeVar("One")
-_DECODER = msgspec.json.Decoder()
-BROKEN = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
+BROKEN = (msgspec.DecodeError, UnicodeDecodeError, RecursionError, UsageError)
+"""What reading JSON raises."""
 RAW_OBJECT = msgspec.json.Decoder(dict[str, msgspec.Raw])
 RAW_LIST = msgspec.json.Decoder(list[msgspec.Raw])
 OBJECT = msgspec.json.Decoder(dict[str, Any])
@@ -343,11 +343,25 @@ def objects(inputs: Iterable[Input]) -> Iterator[tuple[bytes, dict[str, Any]] | 
         if not line.strip():
             continue
         try:
-            data = _DECODER.decode(line)
+            yield line, json_object(line)
         except BROKEN as error:
             yield unreadable(line, error)
-            continue
-        yield (line, data) if isinstance(data, dict) else unreadable(line, f"found {line[:40]!r}, expected an object")
+
+
+def json_object(data: bytes | msgspec.Raw) -> dict[str, Any]:
+    """Return the JSON object in these bytes.
+
+    Raises: As `BROKEN`; UsageError if a key occurs twice, of which readers of JSON silently drop one.
+    """
+    document = OBJECT.decode(data)
+    json.loads(bytes(data), object_pairs_hook=_require_once, parse_int=len, parse_float=len)
+    return document
+
+
+def _require_once(pairs: list[tuple[str, object]]) -> None:
+    if len(keys := [key for key, _ in pairs]) > len(set(keys)):
+        twice = next(key for index, key in enumerate(keys) if key in keys[:index])
+        raise UsageError(f"field {value(twice)}: found it more than once, expected it once")
 
 
 def require_format(
@@ -361,8 +375,7 @@ def require_format(
     items = iter(found)
     for item in items:
         waiting.append(item)
-        raw = item.raw if isinstance(item, Record) else b""
-        size += len(raw)
+        size += len(item.raw) if isinstance(item, Record) else 0
         if is_known(item):
             yield from waiting
             yield from items
@@ -370,27 +383,14 @@ def require_format(
         if len(waiting) >= LOOKED_AT or size >= MAX_LINE:
             break
     if waiting:
-        raw = waiting[0].raw if isinstance(waiting[0], Record) else b""
+        first = waiting[0] if isinstance(waiting[0], Record) else Record("", b"")
+        why = f" ({first.values['why']})" if first.kind == UNREADABLE else ""
+        packed = [f"pipe it through `{writer}`" for mark, writer in COMPRESSED.items() if first.raw.startswith(mark)]
+        advice = packed[0] if packed else "give the format that it has (--as, --with)"
         raise UsageError(
-            f"{value(inputs[0].name)}: found {raw[:40]!r} and no such record in the first {len(waiting):,}, expected "
-            f"{expected}; nothing was recorded: give the format that it has (--as, --with)"
+            f"{value(inputs[0].name)}: found {first.raw[:40]!r}{why} and no such record in the first "
+            f"{len(waiting):,}, expected {expected}; nothing was recorded: {advice}"
         )
-
-
-def utc_us(time: object) -> int | None:
-    """Return microseconds since 1970 from ISO 8601 (UTC without a zone), or from a number; None for anything else.
-
-    The size of a number shows its unit: in 2001 to 2286 s, ms, us and ns since 1970 have 10, 13, 16 and 19 digits.
-    """
-    if isinstance(time, int | float):
-        candidates = (time * 10**6, time * 1000, time, time // 1000)
-        return next((round(us) for us in candidates if 10**15 <= us < 10**16), None)
-    if not isinstance(time, str):
-        return None
-    try:
-        return utc.microseconds(utc.parsed(time))
-    except ValueError:
-        return None
 
 
 def json_text(found: object) -> str:

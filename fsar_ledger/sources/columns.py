@@ -4,7 +4,6 @@ Events are lines of JSON with the name of their type and their stored columns. U
 are escaped.
 """
 
-import json
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from datetime import UTC, datetime
@@ -23,7 +22,7 @@ from fsar_ledger.events.source import Observed
 from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER, OPENINGS, RECORDS, StoredType
 
-from .adapter import BOM, MAX_LINE
+from .adapter import BOM, MAX_LINE, json_object
 
 if TYPE_CHECKING:
     from .recorder import Recorder
@@ -281,18 +280,9 @@ def object_of(line: bytes, what: str) -> dict[str, Any]:
     if len(line) > MAX_LINE:
         raise UsageError(f"found more than {MAX_LINE:,} bytes, expected one {what} per line")
     try:
-        document: dict[str, Any] = msgspec.json.decode(line, type=dict[str, Any])
-        json.loads(line, object_pairs_hook=_require_once, parse_int=len, parse_float=len)
-        return document
+        return json_object(line)
     except (msgspec.DecodeError, ValueError, RecursionError) as error:
         raise UsageError(f"{error!s:.200}; expected a JSON object") from error
-
-
-def _require_once(pairs: list[tuple[str, object]]) -> None:
-    """Require that each key of an object occurs once. Raises: UsageError."""
-    if len(keys := [key for key, _ in pairs]) > len(set(keys)):
-        twice = next(key for index, key in enumerate(keys) if key in keys[:index])
-        raise UsageError(f"field {value(twice)}: found it more than once, expected it once")
 
 
 def parse_line(line: bytes) -> tuple[Event, datetime | None, int | None]:

@@ -27,12 +27,13 @@ from typing import Any, Literal
 
 import msgspec
 
+from fsar_ledger.base import utc
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import did_you_mean, value
 from fsar_ledger.designs.registered import Field, at_line, decoded
 from fsar_ledger.events import CONCERN_OF
 
-from .adapter import Derived, Input, Record, json_text, objects, require_format, utc_us
+from .adapter import Derived, Input, Record, json_text, objects, require_format
 from .columns import LAYOUT_OF, OUTCOMES, declared, laid_out
 
 _IN_TEXT = re.compile(r"\{(/[^{}]*)\}")
@@ -271,7 +272,7 @@ def _derived(rule: MappedEvent, data: Any) -> Derived | None:
 
 def _time_us(time: object, unit: str) -> int | None:
     if not isinstance(time, int | float) or isinstance(time, bool):
-        return utc_us(time)
+        return utc.read_us(time)
     if not 0 <= time < LAST_US * 1000:  # no float holds an integer of any size
         return None
     us = time // 1000 if unit == "ns" and isinstance(time, int) else time * US_OF[unit]

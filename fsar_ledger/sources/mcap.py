@@ -21,7 +21,6 @@ from io import BytesIO
 from typing import Any, BinaryIO, Literal, NamedTuple
 
 import lz4.frame
-import msgspec
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -34,7 +33,7 @@ from fsar_ledger.events.envelope import Parties, RequestSubject, Robot, Subject,
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionStarted, ExecutionWithdrawn
 from fsar_ledger.events.request import RequestAccepted
 
-from .adapter import Derived, Input, Record, json_text, no_record, unreadable
+from .adapter import BROKEN, Derived, Input, Record, json_object, json_text, no_record, unreadable
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_RECORD = 1 << 28
@@ -162,8 +161,8 @@ class Mcap:
         data: dict[str, Any] | None = None
         if channel.message_encoding == "json":
             try:
-                data = msgspec.json.decode(message.data, type=dict[str, Any])
-            except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+                data = json_object(message.data)
+            except BROKEN as error:
                 return unreadable(message.data, f"{channel.topic}: {error}")
             plain = ((name, json_text(item)) for name, item in data.items() if not isinstance(item, dict | list))
             values |= {f"message/{name}" if name in values else name: text for name, text in plain}

@@ -11,10 +11,11 @@ from urllib.parse import quote
 
 import msgspec
 
+from fsar_ledger.base import utc
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import value
 
-from .adapter import BROKEN, OBJECT, RAW_LIST, RAW_OBJECT, Input, Record, unreadable, utc_us
+from .adapter import BROKEN, OBJECT, RAW_LIST, RAW_OBJECT, Input, Record, json_object, unreadable
 
 SQLITE = b"SQLite format 3\0"
 TABLES = ("event", "event_map_type", "event_object", "object", "object_map_type", "object_object")
@@ -112,7 +113,7 @@ class JsonLog:
 
 def time_us(text: object) -> int | None:
     """Return a time in microseconds since 1970; None if it is not a time, or not one within `MAX_US`."""
-    time = utc_us(text)
+    time = utc.read_us(text)
     return time if time is not None and abs(time) < MAX_US else None
 
 
@@ -125,7 +126,7 @@ def _time(raw: msgspec.Raw) -> int | None:
 
 def _item(raw: msgspec.Raw, *, is_event: bool) -> Item | Record:
     try:
-        document = OBJECT.decode(raw)
+        document = json_object(raw)
         name, kind = document["id"], document["type"]
         attributes = tuple(
             (
@@ -146,7 +147,7 @@ def _item(raw: msgspec.Raw, *, is_event: bool) -> Item | Record:
 
 def _is_change(attribute: Any) -> bool:
     """Return whether the attribute is a later change of its value; the first value has the time 1970."""
-    return bool(attribute.get("time")) and utc_us(attribute["time"]) != 0
+    return bool(attribute.get("time")) and utc.read_us(attribute["time"]) != 0
 
 
 class SqliteLog:
@@ -188,7 +189,7 @@ class SqliteLog:
             for kind, table in _types(database, "object"):
                 for (_, name), rows in groupby(_rows(database, "object", kind, table), lambda row: row[:2]):
                     attributes = tuple(
-                        (column if row[2] is None or utc_us(row[2]) == 0 else f"{column}@{row[2]}", attribute)
+                        (column if row[2] is None or utc.read_us(row[2]) == 0 else f"{column}@{row[2]}", attribute)
                         for row in rows
                         for column, attribute in row[3].items()
                     )

@@ -8,7 +8,7 @@ import msgspec
 from fsar_ledger.base.printable import escaped
 from fsar_ledger.events.envelope import Robot, recorded_robot
 
-from .adapter import BROKEN, OBJECT, RAW_LIST, RAW_OBJECT, Input, Record, json_text, lines, unreadable
+from .adapter import BROKEN, OBJECT, RAW_LIST, RAW_OBJECT, Input, Record, json_object, json_text, lines, unreadable
 
 MAX_DOCUMENT = 1 << 26
 """Bytes of a document over several lines."""
@@ -166,7 +166,7 @@ def _id(text: object) -> str | None:
 
 def _span(raw: msgspec.Raw, service: str | None) -> Record:
     try:
-        span = OBJECT.decode(raw)
+        span = json_object(raw)
     except BROKEN as error:
         return unreadable(bytes(raw), error)
     trace, span_id, parent = (_id(_raw(span, name)) for name in ("traceId", "spanId", "parentSpanId"))

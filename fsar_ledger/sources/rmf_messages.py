@@ -8,10 +8,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
+from fsar_ledger.base import utc
 from fsar_ledger.base.printable import escaped
 from fsar_ledger.events.envelope import Robot, recorded_robot
 
-from .adapter import Record, json_text, utc_us
+from .adapter import Record, json_text
 
 UNKNOWN = "unknown"
 RESPONSE = "response"
@@ -39,7 +40,7 @@ LAST_MS = int(datetime.fromisoformat("9999-12-31T00:00:00+00:00").timestamp() * 
 def record_of(raw: bytes, line: dict[str, Any]) -> Record:
     """Return a message as a record; its data are its kind and content, or None if it is not a message of RMF."""
     kind, data = _message(line)
-    arrival_us = utc_us(line.get("received"))
+    arrival_us = utc.read_us(line.get("received"))
     if kind == UNKNOWN:
         values = {name: json_text(item) for name, item in line.items()}
         return Record(text(line, "type") or UNKNOWN, raw, None, values, {}, None, arrival_us)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 
+from fsar_ledger.base import utc
 from fsar_ledger.base.errors import InvalidRun, UsageError
 from fsar_ledger.base.printable import counted, value
 from fsar_ledger.events import Event
@@ -16,7 +17,7 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.locations import event_count, place_of
 from fsar_ledger.ledger.store.read import View
 
-from .adapter import UNREADABLE, utc_us
+from .adapter import UNREADABLE
 from .columns import Declared
 
 NewEvent = tuple[int, int | None, Event]
@@ -149,7 +150,7 @@ def earlier_import(path: Path, run: str) -> EarlierImport | None:
     return EarlierImport(
         stored.size,
         stored.last_us,
-        utc_us(started.epoch),
+        utc.read_us(started.epoch),
         Declared(started.observes, started.records or ()),
         first,
         records,

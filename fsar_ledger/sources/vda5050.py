@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from fsar_ledger.base import utc
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import COORDINATOR, Parties, Principals, RequestSubject, Robot, Subject, recorded_robot
 from fsar_ledger.events.execution import (
@@ -28,7 +29,7 @@ from fsar_ledger.events.request import RequestAccepted, RequestDenied, RequestIs
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import LinkCameUp, LinkWentDown, TaskArrived
 
-from .adapter import BROKEN, OBJECT, UNREADABLE, Derived, Input, Record, json_text, objects, require_format, utc_us
+from .adapter import BROKEN, UNREADABLE, Derived, Input, Record, json_object, json_text, objects, require_format
 
 KINDS: Mapping[str, tuple[str, ...]] = {
     "state": ("operatingMode",),
@@ -137,15 +138,14 @@ class Vda5050:
             if isinstance(error.get("errorType"), str):
                 name = f"error/{error['errorType']}"
                 values[f"{name}/{number}" if name in values else name] = json_text(error)
-        arrived = line.get("received", line.get("arrival", line.get("time", line.get("tst"))))
         return Record(
             kind if kind != "state" else f"state/{values.get('operatingMode')}",
             raw,
             (kind, vehicle, message),
             values,
             about,
-            utc_us(message.get("timestamp")),
-            utc_us(arrived),
+            utc.read_us(message.get("timestamp")),
+            utc.read_us(line.get("received", line.get("arrival", line.get("time", line.get("tst"))))),
         )
 
     def derive(self, record: Record) -> Iterable[Derived] | None:
@@ -199,7 +199,7 @@ def _message(line: dict[str, Any]) -> dict[str, Any]:
     payload = line.get("payload")
     if isinstance(payload, str):
         with suppress(*BROKEN):
-            payload = OBJECT.decode(payload)
+            payload = json_object(payload.encode())
     return payload if isinstance(payload, dict) else line
 
 

@@ -3,6 +3,7 @@
 import gzip
 import json
 import sys
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +78,13 @@ def test_a_compressed_file_is_said_to_be_one(tmp_path: Path, call: Call, format:
     assert (refused.code, "found a compressed file, expected one that is not" in refused.err) == (2, True)
     assert f"`zcat {night}`" in refused.err
     assert not (tmp_path / "ledger").exists()
+
+
+def test_standard_input_that_is_compressed_is_said_to_be(tmp_path: Path) -> None:
+    for packed, writer in ((gzip.compress(b"{}"), "zcat"), (b"\x28\xb5\x2f\xfd", "zstdcat")):
+        stdin = Input("stdin", None, BytesIO(packed))
+        with pytest.raises(UsageError, match=f"nothing was recorded: pipe it through `{writer}`"):
+            next(iter(adapter_of("vda5050", None)[0].read([stdin])))
 
 
 def test_a_compressed_file_beside_another_is_said_to_be_one_before_anything_is_recorded(
@@ -237,8 +245,19 @@ def test_blank_lines_other_line_ends_and_a_byte_order_mark_make_no_difference(tm
 
 @pytest.mark.parametrize(
     "line",
-    [b"\xff\xfe{}", b'{"orderId": "\xc3"}', b"[1, 2]", b"{", b"[" * 100_000, b'{"orderId": "\\ud800"}', b"\x00\x01"],
-    ids=["utf-16", "latin-1", "an array", "cut", "deep", "half a character", "binary"],
+    [
+        *(
+            b"\xff\xfe{}",
+            b'{"orderId": "\xc3"}',
+            b"[1, 2]",
+            b"{",
+            b"[" * 100_000,
+            b'{"orderId": "\\ud800"}',
+            b"\x00\x01",
+        ),
+        b'{"orderId": "o1", "nodes": [], "orderId": "o2"}',
+    ],
+    ids=["utf-16", "latin-1", "an array", "cut", "deep", "half a character", "binary", "a key twice"],
 )
 def test_what_cannot_be_read_is_kept_with_its_place(tmp_path: Path, line: bytes) -> None:
     filed(tmp_path, vda.written([ONE]) + line + b"\n" + vda.written([ONE]))
@@ -280,9 +299,10 @@ def test_a_record_of_which_more_follows_than_a_journal_takes_is_committed_whole(
         (b"", "found no record"),
         (b"\n\n", "found no record"),
         (b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 99, "found b'\\x89PNG'"),
-        (b"hello\n" * 3, "night: found b'hello' and no such record"),
+        (b"hello\n" * 3, "night: found b'hello' (JSON is malformed: invalid character (byte 0)) and no such record"),
+        (b'{"orderId": "1", "orderId": "2"}', "(field orderId: found it more than once, expected it once) and no such"),
     ],
-    ids=["empty", "blank", "binary", "text"],
+    ids=["empty", "blank", "binary", "text", "a key twice"],
 )
 def test_what_is_no_recording_is_refused_and_no_ledger_is_made(
     call: Call, tmp_path: Path, content: bytes, said: str

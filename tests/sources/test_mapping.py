@@ -155,6 +155,15 @@ def test_a_record_with_a_number_that_no_ledger_holds_is_not_understood_and_ends_
     assert derived({"job": "t", "budget": 2**53}, arrived) is None
 
 
+def test_a_record_that_tells_twice_how_something_ended_has_ended_neither_way() -> None:
+    """Readers of JSON silently drop one of both."""
+    twice = b'{"event": "failed", "event": "done", "job": "t", "robot": "A1"}\n'
+    one = twice.replace(b'"event": "failed", ', b"")
+    records = list(adapter(HEAD, DONE).read([Input("jobs", None, io.BytesIO(twice + one))]))
+    assert [record.kind == "unreadable" for record in records] == [True, False]
+    assert "field event: found it more than once" in records[0].values["why"]
+
+
 def test_a_record_that_does_not_tell_how_something_ended_has_not_ended_well() -> None:
     finished = rule("ExecutionFinished", **FINISHED | {"result": "/result"})
     data = {"job": "t", "robot": "A1"}

@@ -280,6 +280,14 @@ def test_an_event_or_object_that_cannot_be_read_is_on_record(imported: Import, o
     assert next(one.count for one in made.not_understood if one.kind == "unreadable") == 2
 
 
+def test_an_event_that_has_two_types_is_on_record_and_is_neither(imported: Import) -> None:
+    found = written(orders()).replace(
+        b'"type":"TaskCompleted","time"', b'"type":"TaskAbandoned","type":"TaskCompleted","time"'
+    )
+    made = imported(found).made
+    assert (made.records, made.events, made.not_understood[-1].kind) == (5, {}, "unreadable")
+
+
 def test_an_event_in_another_encoding_is_on_record(imported: Import) -> None:
     made = imported(written(orders()).replace(b'"web"', b'"\xff"')).made
     assert (made.records, made.not_understood[-1].kind) == (5, "unreadable")
