@@ -4,37 +4,21 @@
 -- Key: run_id, action_id, failure, level
 -- Units: spent_us, t_max_us microseconds, spent_us including the time of the help; used, n_max attempts (local),
 --   helpers asked (peer), reassignments and ordered help (fleet), calls (human); rank 1 local to 4 human
--- NULL: spent_us when the failure was still at this level at the end of its record, and of the first level when the
---   failure itself is not on record; t_max_us, n_max where the run records neither; set_by where the budget is the
---   fleet's own; used when none is on record and the run does not observe recovery (of level human: supervision)
+-- NULL: spent_us when the failure was still at this level at the end of its record, of the first level when the
+--   failure itself is not on record, and where facts/recovery_stays lacks a time; t_max_us, n_max where the run records
+--   neither; set_by where the budget is the fleet's own; used when none is on record and the run does not observe
+--   recovery (of level human: supervision)
 -- Example: fsar-ledger query audit/recovery_budgets LEDGER --param run=RUN --param action=A1-1/2.1
 --   answers local 2 of 2 attempts, peer 0 of 1 helpers, fleet 0 of 1 reassignments, human 1 of 2 calls
 -- Parameters: run: run = all, action: action = all
-WITH stays AS (
-    SELECT
-        moves.run_id, moves.action_id, moves.failure, moves.level, moves.rank, moves.seq, failures.robot,
-        coalesce(
-            lead(moves.time_us) OVER by_failure,
-            if(failures.resolved_us < moves.time_us, NULL, failures.resolved_us)
-        )
-        - CASE
-            WHEN moves.move > 1 OR (failures.detected_us IS NULL AND moves.from_level IS NOT NULL) THEN moves.time_us
-            ELSE failures.detected_us
-        END AS spent_us
-    FROM recovery_moves AS moves
-    INNER JOIN failures_on_record AS failures
-        ON moves.run_id = failures.run_id AND moves.action_id = failures.action_id AND moves.failure = failures.failure
-    WHERE $run IN ('all', moves.run_id) AND $action IN ('all', moves.action_id)
-    WINDOW by_failure AS (PARTITION BY moves.run_id, moves.action_id, moves.failure ORDER BY moves.seq)
-),
-
-levels AS (
+WITH levels AS (
     -- Recovery that returns to a level spends the rest of its budget.
     SELECT
         run_id, action_id, failure, level, rank, robot,
         min(seq) AS seq,
-        if(count(*) = count(spent_us), sum(spent_us)::BIGINT, NULL) AS spent_us
-    FROM stays
+        if(count(*) = count(left_us - entered_us), sum(left_us - entered_us)::BIGINT, NULL) AS spent_us
+    FROM recovery_stays
+    WHERE $run IN ('all', run_id) AND $action IN ('all', action_id)
     GROUP BY run_id, action_id, failure, level, rank, robot
 ),
 

@@ -202,3 +202,27 @@ def test_no_use_no_attempt_and_no_end_on_record_is_unknown_where_the_run_does_no
         ("local", 2, False),
         ("peer", 0, False),
     ]
+
+
+def test_how_long_a_level_took_is_unknown_where_the_move_that_began_or_ended_it_is_not_recorded() -> None:
+    def stays(*events: Row, records: tuple[str, ...]) -> dict[str, tuple[Any, ...]]:
+        rows = run(*events, kind="foreign", observes=[], records=list(records))
+        spent = dict(answer("recovery_budgets", rows, columns=("level", "spent_us")))
+        named = dict(answer("failure_timeline", rows, columns=("level", "spent_s")))
+        times = answer("recovery_time", rows, columns=("level", "entered_us", "left_us", "spent_us"))
+        assert {level: own for level, *_, own in times} == spent
+        return {level: (entered, left, named[level]) for level, entered, left, _ in times}
+
+    attempt, to_human, end = LADDER[1], failure("RecoveryEscalated", 20, level="local", to_level="human"), LADDER[-1]
+    ends = ("ExecutionFailed", "FailureResolved")
+    assert stays(FAILED, attempt, end, records=(*ends, "RecoveryAttempted")) == {
+        "local": (10, None, None),
+        "human": (None, 63, None),
+    }
+    assert stays(FAILED, to_human, end, records=(*ends, "RecoveryEscalated")) == {"human": (20, 63, 43e-6)}
+    assert stays(FAILED, end, records=ends) == {"human": (None, 63, None)}
+    assert stays(FAILED, BY_ROBOT, records=ends) == {"local": (10, 13, 3e-6)}
+    assert stays(FAILED, attempt, to_human, end, records=(*ends, "RecoveryAttempted", "RecoveryEscalated")) == {
+        "local": (10, 20, 10e-6),
+        "human": (20, 63, 43e-6),
+    }
