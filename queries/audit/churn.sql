@@ -7,7 +7,7 @@
 --   failure(departed); tasks_recovered, tasks_abandoned: tasks of facts/tasks_of_departed that were completed, or given
 --   up; acts: as in facts/acts_of_departed
 -- NULL: a count when it would be 0 and the run does not record all that it counts; acts also when it does not record
---   who returned
+--   who departed and returned
 -- Example: fsar-ledger query audit/churn LEDGER --param run=RUN
 --   answers nothing, since no robot leaves in the paper's scenarios; those of the scenario churn do
 -- Parameters: run: run = all
@@ -45,6 +45,7 @@ recorded AS (
         run_id,
         list_cat(observes, records) AS told,
         list_contains(observes, 'recovery') AND list_has_any(told, ['request', 'RequestClosed']) AS tells_hits,
+        list_contains(told, 'fleet') OR list_has_all(told, ['RobotDeparted', 'RobotReturned']) AS tells_absences,
         list_has_all(observes, ['request', 'execution', 'recovery', 'authority']) AS tells_acts
     FROM run_started
 )
@@ -67,14 +68,11 @@ SELECT
         count(*) FILTER (what = 'completed'), if(tells_hits AND list_has_any(told, ['task', 'TaskCompleted']), NULL, 0)
     ) AS tasks_recovered,
     nullif(
-        count(*) FILTER (what = 'abandoned'), if(tells_hits AND list_has_any(told, ['task', 'TaskAbandoned']), NULL, 0)
+        count(*) FILTER (what = 'abandoned'),
+        if(tells_hits AND tells_absences AND list_has_any(told, ['task', 'TaskAbandoned']), NULL, 0)
     ) AS tasks_abandoned,
-    if(
-        list_has_any(told, ['fleet', 'RobotReturned']),
-        nullif(count(*) FILTER (what = 'acts'), if(tells_acts, NULL, 0)),
-        NULL
-    ) AS acts
+    if(tells_absences, nullif(count(*) FILTER (what = 'acts'), if(tells_acts, NULL, 0)), NULL) AS acts
 FROM counted
 INNER JOIN recorded ON counted.run_id = recorded.run_id
 WHERE $run IN ('all', counted.run_id)
-GROUP BY counted.run_id, told, tells_hits, tells_acts
+GROUP BY counted.run_id, told, tells_hits, tells_absences, tells_acts

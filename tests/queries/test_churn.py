@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 
+from fsar_ledger.events import CONCERNS
 from tests.queries.histories import Row, S, act, answer, event, run
 
 B, T = "robot/B1", "t1"
@@ -100,3 +101,16 @@ def test_an_act_of_a_departed_robot_is_counted() -> None:
     assert answer("audit/churn", run(ARRIVED, DEPARTED, RETURNED, acts), columns=("acts",)) == [(0,)]
     partly = run(ARRIVED, DEPARTED, RETURNED, kind="foreign", observes=["fleet", "execution"])
     assert answer("audit/churn", partly, columns=("returned", "acts")) == [(1, None)]
+
+
+def test_what_came_of_departures_is_unknown_where_they_or_returns_are_not_recorded() -> None:
+    observes = [concern for concern in CONCERNS if concern != "fleet"]
+    columns = ("away", "tasks_abandoned", "acts")
+
+    def counts(*records: str) -> list[tuple[Any, ...]]:
+        off = event("RobotWentOff", 1 * S, robot=B)
+        rows = run(ARRIVED, off, ABANDONED, kind="foreign", observes=observes, records=records)
+        return answer("audit/churn", rows, columns=columns)
+
+    assert counts() == counts("RobotDeparted") == counts("RobotReturned") == [(1, None, None)]
+    assert counts("RobotDeparted", "RobotReturned") == [(1, 0, 0)]
