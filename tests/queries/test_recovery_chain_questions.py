@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from fsar_ledger.metrics.database import plain_rows
-from tests.queries.histories import Row, S, event, run
+from tests.queries.histories import Row, S, answer, event, run
 from tests.queries.test_audit_questions import asked, trust
 from tests.recycled import from_rows
 
@@ -267,6 +267,13 @@ def test_claims_of_one_claimant_other_dimensions_or_other_actions_do_not_overlap
         )
         == []
     ), "never held"
+
+
+def test_no_two_claims_overlap_where_the_run_does_not_record_when_claims_end() -> None:
+    both = (claimed("Claimed", 1, "robot/A1"), claimed("Claimed", 2, "robot/B1"))
+    for records, found in ((["AuthorityClaimed"], []), (["AuthorityClaimed", "AuthorityReleased"], [(2 * S,)])):
+        rows = run(*both, kind="foreign", observes=[], records=records)
+        assert answer("overlapping_claims", rows, columns=("from_us",)) == found
 
 
 def test_a_revocation_takes_effect_at_its_release_after_the_boundary() -> None:
