@@ -109,7 +109,7 @@ def test_what_came_of_departures_is_unknown_where_they_or_returns_are_not_record
 
     def counts(*records: str) -> list[tuple[Any, ...]]:
         off = event("RobotWentOff", 1 * S, robot=B)
-        rows = run(ARRIVED, off, ABANDONED, kind="foreign", observes=observes, records=records)
+        rows = run(ARRIVED, off, ABANDONED, kind="foreign", observes=observes, records=list(records))
         return answer("audit/churn", rows, columns=columns)
 
     assert counts() == counts("RobotDeparted") == counts("RobotReturned") == [(1, None, None)]

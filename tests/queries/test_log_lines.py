@@ -127,3 +127,19 @@ def test_a_line_has_the_concern_of_its_event_and_the_start_of_a_run_none() -> No
 
 def test_a_pause_has_no_reason_that_its_event_does_not_say() -> None:
     assert line(act("ExecutionPaused", S, "t1/1.1", robot=A)) == (A, A, "pauses", None)
+
+
+def test_who_called_a_supervisor_is_not_made_up_in_a_record_of_another_system() -> None:
+    fleet, of_a = "supervisor/fleet", {"requested_by": A, "purpose": "recovery"}
+    asked = act("RequestIssued", 3 * S, "t1/1.1", requested_by=A, decided_by=A, capability="lift")
+    called = act("SupervisorCalled", 4 * S, "t1/1.1", supervisor=fleet, purpose="recovery")
+    answered = act("SupervisorResponded", 5 * S, "t1/1.1", decided_by=fleet, approves=True, **of_a)
+
+    def told(*events: Row, kind: str = "foreign") -> list[tuple[Any, ...]]:
+        rows = run(*events, kind=kind, observes=[], records=["SupervisorCalled", "SupervisorResponded"])
+        return answer("facts/log_lines", rows, columns=("sender", "receiver"))[1:]
+
+    assert told(asked, called, answered, kind="live")[1:] == [(A, fleet), (fleet, A)]
+    assert told(asked, called, answered)[1:] == [(None, fleet), (fleet, fleet)]
+    assert told(called, {**answered, "executed_by": B}) == [(None, fleet), (fleet, B)]
+    assert told(answered) == [(fleet, fleet)]
