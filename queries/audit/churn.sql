@@ -44,7 +44,7 @@ recorded AS (
     SELECT
         run_id,
         list_cat(observes, records) AS told,
-        list_contains(observes, 'recovery') AND list_has_any(told, ['request', 'RequestClosed']) AS tells_hits,
+        list_contains(observes, 'recovery') AND list_has_any(told, ['request', 'RequestClosed.cause']) AS tells_hits,
         list_contains(told, 'fleet') OR list_has_all(told, ['RobotDeparted', 'RobotReturned']) AS tells_absences,
         list_has_all(observes, ['request', 'execution', 'recovery', 'authority']) AS tells_acts
     FROM run_started
@@ -62,7 +62,7 @@ SELECT
     nullif(count(*) FILTER (what = 'cleared'), if(list_has_any(told, ['fleet', 'RobotCleared']), NULL, 0)) AS cleared,
     nullif(count(*) FILTER (what = 'returned'), if(list_has_any(told, ['fleet', 'RobotReturned']), NULL, 0))
         AS returned,
-    nullif(count(*) FILTER (what = 'failed'), if(list_has_any(told, ['request', 'RequestClosed']), NULL, 0))
+    nullif(count(*) FILTER (what = 'failed'), if(list_has_any(told, ['request', 'RequestClosed.cause']), NULL, 0))
         AS requests_failed,
     nullif(
         count(*) FILTER (what = 'completed'), if(tells_hits AND list_has_any(told, ['task', 'TaskCompleted']), NULL, 0)

@@ -114,3 +114,10 @@ def test_what_came_of_departures_is_unknown_where_they_or_returns_are_not_record
 
     assert counts() == counts("RobotDeparted") == counts("RobotReturned") == [(1, None, None)]
     assert counts("RobotDeparted", "RobotReturned") == [(1, 0, 0)]
+
+
+def test_no_request_failed_for_a_departure_only_where_the_causes_of_closings_are_recorded() -> None:
+    records = ["RobotDeparted", "RequestClosed"]
+    for lists, failed in ((records, None), ([*records, "RequestClosed.cause"], 0)):
+        rows = run(ARRIVED, DEPARTED, {**FAILED, "cause": None}, kind="foreign", observes=[], records=lists)
+        assert answer("audit/churn", rows, columns=("found_out", "requests_failed")) == [(1, failed)]
