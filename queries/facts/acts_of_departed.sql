@@ -5,8 +5,8 @@
 --   number than its departures until then
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time; fence the number of the claim, 0 where it has none; departures until then
--- NULL: action_id where the record names none; fence of acts other than claims; no row in a run that does not record
---   returns
+-- NULL: action_id where the record names none; fence of acts other than claims, and of claims in a run that does not
+--   record their numbers, none of which is under an old one; no row in a run that does not record returns
 -- Example: fsar-ledger query facts/acts_of_departed LEDGER
 WITH acts AS (
     SELECT run_id, seq, time_us, 'RequestAccepted.v1' AS type, action_id, decided_by AS robot, NULL AS fence
@@ -28,8 +28,14 @@ WITH acts AS (
     FROM assistance_admitted
     UNION ALL
     SELECT
-        run_id, seq, time_us, 'AuthorityClaimed.v1' AS type, action_id, claimant AS robot, coalesce(fence, 0) AS fence
-    FROM authority_claimed
+        claimed.run_id, claimed.seq, claimed.time_us, 'AuthorityClaimed.v1' AS type, claimed.action_id,
+        claimed.claimant AS robot,
+        coalesce(
+            claimed.fence,
+            if(list_has_any(list_cat(runs.observes, runs.records), ['authority', 'AuthorityClaimed.fence']), 0, NULL)
+        ) AS fence
+    FROM authority_claimed AS claimed
+    INNER JOIN run_started AS runs ON claimed.run_id = runs.run_id
 ),
 
 changes AS (

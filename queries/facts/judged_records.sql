@@ -7,7 +7,7 @@
 -- Example: fsar-ledger query facts/judged_records LEDGER
 WITH judges (judges, entries) AS (
     VALUES
-    ('i1_local_agent_coherence', 'RobotJoined RobotDeparted* RobotDeparted>RobotReturned*'),
+    ('i1_local_agent_coherence', 'RobotJoined RobotDeparted* RobotDeparted>RobotReturned* AuthorityClaimed.fence*'),
     (
         'i2_local_execution_ownership',
         'ExecutionStarted* RequestAccepted RequestAccepted.decided_by RequestAccepted.executed_by

@@ -96,6 +96,23 @@ def test_a_claim_under_an_old_number_is_found() -> None:
     assert found(*twice, claimed(6, fence=2)) == []
 
 
+def test_no_claim_is_under_an_old_number_where_the_numbers_of_claims_are_not_recorded() -> None:
+    types = ["RobotJoined", "RobotDeparted", "RobotReturned", "AuthorityClaimed"]
+
+    def accused(*events: Row, records: list[str]) -> list[Any]:
+        rows = run(JOINED, *events, kind="foreign", observes=[], records=records)
+        hidden = answer("facts/unobservable", rows, columns=("judge", "not_observed"))
+        lacking = [lacks for judge, lacks in hidden if judge == "i1_local_agent_coherence"]
+        return [*answer("invariants/i1_local_agent_coherence", rows, columns=("found",)), *lacking]
+
+    claim = claimed(4)
+    assert accused(departed(2), returned(3), claim, records=types) == ["AuthorityClaimed.fence"]
+    assert accused(departed(2), claim, records=types) == [(f"{B} acts after it departed",), "AuthorityClaimed.fence"]
+    assert accused(departed(2), returned(3), claim, records=[*types, "AuthorityClaimed.fence"]) == [
+        (f"{B} claims authority under fencing number 0 after 1 departures",)
+    ]
+
+
 @pytest.mark.parametrize("question", ["audit/robot_activity", "audit/robot_state_at"])
 def test_who_is_off_or_has_departed_is_not_idle_and_who_works_need_not_have_joined(question: str) -> None:
     works = act("ExecutionStarted", 3 * S, "t1/1", robot="robot/C1", ends_us=9 * S)
