@@ -20,7 +20,7 @@ from fsar_ledger.ledger.rows.segment import first_damage
 from fsar_ledger.ledger.store.record import Head
 
 from .library import Library, Query, library
-from .own_sql import FOR_OLDER, FUNCTIONS, LOCK, check_columns, first_lines, register, statements
+from .own_sql import FOR_OLDER, FUNCTIONS, LOCK, check_columns, fault_of, first_lines, register, statements
 from .sql_values import BATCH_ROWS, literal, quoted, values, with_all_columns
 
 if TYPE_CHECKING:
@@ -202,7 +202,7 @@ class Database:
             if query.relation in self._made or query.parameters:
                 continue
             is_table = self.keeps(query) or (self.is_small and not self.is_for_others)
-            self._change(f"CREATE {'TABLE' if is_table else 'VIEW'} {query.relation} AS\n{self._body(query)}")
+            self._change(f"CREATE {'TABLE' if is_table else 'VIEW'} {query.relation} AS {self._body(query)}", query)
             self._made.add(query.relation)
             if is_table and self.slices is not None:
                 self._change("CHECKPOINT")
@@ -291,7 +291,7 @@ class Database:
         if not query.parameters:
             return self.table(f"SELECT * FROM {query.relation} ORDER BY ALL")
         self.prepare(query.sql)
-        return self._execute(f"SELECT * FROM (\n{query.sql}\n) ORDER BY ALL", bound)
+        return self._execute(f"SELECT * FROM ({query.sql}\n) ORDER BY ALL", bound, query)
 
     def lock(self, seconds: int, memory_bytes: int) -> None:
         """Deny the connection access to all but what it holds; limit seconds and memory of a statement.
@@ -347,15 +347,15 @@ class Database:
             yield pa.RecordBatch.from_pylist([], schema=reader.schema)
             yield from reader
 
-    def _change(self, sql: str) -> None:
-        """Run a statement that makes or drops relations and has no answer."""
-        with self._asking():
+    def _change(self, sql: str, query: Query | None = None) -> None:
+        """Run a statement that makes or drops relations and has no answer; `query` is the packaged one in it."""
+        with self._asking(query=query):
             # `sql` would make a relation of the empty answer, which takes as long as a small view.
             self._within(lambda: self._connection.execute(sql))
 
-    def _execute(self, sql: str, params: Mapping[str, Value] | None) -> pa.Table:
+    def _execute(self, sql: str, params: Mapping[str, Value] | None, query: Query | None = None) -> pa.Table:
         """Return DuckDB's answer; its errors become ours."""
-        with self._asking():
+        with self._asking(query=query):
             return self._within(lambda: self._connection.sql(sql, params=dict(params or {}) or None).to_arrow_table())
 
     def _within(self, call: Callable[[], _Found]) -> _Found:
@@ -375,24 +375,24 @@ class Database:
         self._connection.execute(f"SET memory_limit = '{min(limits)} bytes'" if limits else "RESET memory_limit")
 
     @contextmanager
-    def _asking(self, *others: type[Exception]) -> Iterator[None]:
+    def _asking(self, *others: type[Exception], query: Query | None = None) -> Iterator[None]:
         """Turn DuckDB's errors and these others into ours, and its error for Ctrl-C into KeyboardInterrupt."""
         handled: tuple[type[Exception], ...] = (duckdb.Error, *others)
         try:
             yield
         except handled as error:
-            raise self._failure(error) from error
+            raise self._failure(error, query) from error
         except RuntimeError as error:
             if str(error) != "Query interrupted":
                 raise
             raise KeyboardInterrupt from error
 
-    def _failure(self, error: Exception) -> FsarLedgerError:
+    def _failure(self, error: Exception, query: Query | None) -> FsarLedgerError:
         """Return the error to show a user.
 
-        It blames the SQL or, where the data may be the cause, the first segment that cannot be read.
+        It blames the SQL, the text of `query` or, where the data may be the cause, the first unreadable segment.
         """
         if isinstance(error, OUT_OF_MEMORY) and memory.limit() is not None:
             return LimitReached(memory.exceeded_message())
         damage = None if isinstance(error, FAULTS_OF_SQL) else first_damage(self._segments)
-        return damage or QueryFailed(f"SQL: {first_lines(str(error))}")
+        return damage or QueryFailed(fault_of(error, query, self.library))

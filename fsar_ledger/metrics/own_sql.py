@@ -81,6 +81,8 @@ def text_of(name: str) -> str:
 LISTING = "relations"
 """The relation that `SHOW TABLES` reads."""
 _DESCRIBE = {"describe": "DESCRIBE", "desc": "DESCRIBE", "show": "DESCRIBE", "summarize": "SUMMARIZE"}
+OF_THE_TEXT = (duckdb.ParserException, duckdb.BinderException, duckdb.CatalogException)
+"""DuckDB's errors about SQL that runs on no data at all."""
 _LACKING = re.compile(r"Table with name (\w+) does not exist")
 
 
@@ -137,11 +139,28 @@ def listing() -> pa.Table:
 
 def how_to_call(message: str, library: Library) -> str:
     """Return what to do if DuckDB reports a missing table that is a macro; empty for another message."""
-    match = _LACKING.search(message)
-    query = library.relations.get(match[1].lower()) if match else None
-    if query is None or not query.parameters:
+    query = _lacking(message, library)
+    if query is None:
         return ""
     return f"\n{query.relation} takes parameters: {_parameters(query)}; call it, as in FROM {_call(query)}"
+
+
+def fault_of(error: Exception, query: Query | None, library: Library) -> str:
+    """Return DuckDB's message with what it is about: users' SQL or, if its text is wrong, the file of `query`."""
+    message = str(error)
+    if query is None or not isinstance(error, OF_THE_TEXT):
+        return f"SQL: {first_lines(message)}"
+    fault = f"queries/{query.name}.sql: {first_lines(message)}"
+    if (read := _lacking(message, library)) is None:
+        return fault
+    return f"{fault}\n{read.relation} takes parameters, so no query can read it; move what both need to queries/facts/"
+
+
+def _lacking(message: str, library: Library) -> Query | None:
+    """Return the query with parameters that DuckDB misses as a table, if it does."""
+    match = _LACKING.search(message)
+    query = library.relations.get(match[1].lower()) if match else None
+    return query if query is not None and query.parameters else None
 
 
 def _parameters(query: Query) -> str | None:

@@ -139,6 +139,33 @@ def audited(parameters: dict[str, str]) -> list[int]:
         return [row["seq"] for row in database.query("of_run", parameters).to_pylist()]
 
 
+@pytest.mark.parametrize(
+    ("sql", "said"),
+    [
+        ("SELECT seq\nFROM of_run", r"\nLINE 2: FROM of_run\n.*\nof_run takes parameters, .* move what both need to "),
+        ("SELECT seq,\n    nothing\nFROM events", r"\nLINE 2:     nothing\n"),
+        ("SELECT seq FROM\nWHERE TRUE", r"\nLINE 2: WHERE TRUE\n"),
+    ],
+)
+@pytest.mark.parametrize("name", ["facts/wrong", "audit/above"])
+def test_a_packaged_query_that_cannot_run_is_named_with_its_line_also_below_another(
+    sql: str, said: str, name: str
+) -> None:
+    queries = [Query("facts/wrong", sql, HEADER), Query("audit/above", "SELECT seq FROM wrong", HEADER)]
+    with Database(None, (), queries=Library([AUDIT, *queries])) as database:
+        database.hold("events", from_rows_table())
+        with pytest.raises(QueryFailed, match=rf"^queries/facts/wrong\.sql: \w+ Error: (?s:.*){said}"):
+            database.query(name)
+
+
+def test_a_packaged_query_with_parameters_that_cannot_run_is_named() -> None:
+    wrong = Query("audit/wrong", "SELECT $run AS nothing FROM nowhere", HEADER, {"run": Parameter("run", "run", "all")})
+    with Database(None, (), queries=Library([wrong])) as database:
+        database.hold("events", from_rows_table())
+        with pytest.raises(QueryFailed, match=r"^queries/audit/wrong\.sql: Catalog Error: .* nowhere does not exist"):
+            database.query("wrong")
+
+
 def from_rows_table() -> pa.Table:
     return pa.table({"run_id": ["a", "a", "b"], "seq": [1, 2, 3]})
 
