@@ -103,12 +103,13 @@ def test_an_unknown_reading_is_found() -> None:
 
 @pytest.mark.parametrize("name", sorted(COMMANDS))
 def test_every_command_is_documented_and_has_examples(name: str) -> None:
-    assert f"`fsar-ledger {name}" in PAGES["commands.md"]
-    assert [example for command, example in examples() if command == name]
+    assert f"`fsar-ledger {name}" in PAGES["commands.md"], "run `python docs/write.py commands.md`"
+    assert [example for command, example in examples() if command == name], "give `verb` an example"
 
 
 def test_every_query_is_documented() -> None:
-    assert set(re.findall(r"^\| `([^`]+)`", PAGES["queries.md"], flags=re.MULTILINE)) == set(library().queries)
+    listed = set(re.findall(r"^\| `([^`]+)`", PAGES["queries.md"], flags=re.MULTILINE))
+    assert listed == set(library().queries), "run `python docs/write.py queries.md`"
 
 
 def dangling(page: Path) -> list[str]:

@@ -168,9 +168,14 @@ def verb(
         is_apart: Whether a call with these values runs in a process with its own memory limit.
         arrange: Changes the values of a call before its ledgers are opened.
         memory_factor: The memory allowed for each byte of the segments, as a multiple of that of other commands.
+
+    Raises: TypeError for a function without a docstring.
     """
 
     def register(function: _Function) -> _Function:
+        if __debug__ and not function.__doc__:
+            place = f"{function.__module__}.{function.__name__}"
+            raise TypeError(f"{place}: found no docstring, expected one, whose first line is the help of the command")
         _settle(function)
         if call is not None:
             _settle(call)

@@ -128,13 +128,14 @@ def _summary(name: str) -> str:
     """
     if name in FAMILIES:
         return FAMILIES[name]
-    source = (Path(__file__).parents[1] / f"api/{_homes(name)[0].rpartition('.')[2]}.py").read_text("utf-8")
+    path = Path(__file__).parents[1] / f"api/{_homes(name)[0].rpartition('.')[2]}.py"
+    source = path.read_text("utf-8")
     by_function = rf'^def {name.replace("-", "_")}\(.*?"""(.*?)$'
     by_name = rf'^    name="{name}",$.*?^def \w+\(.*?"""(.*?)$'
     match = re.search(by_name, source, re.DOTALL | re.MULTILINE) or re.search(
         by_function, source, re.DOTALL | re.MULTILINE
     )
-    assert match is not None  # a test reads the help
+    assert match is not None, f"{path}: found no docstring of {name}, expected one"
     return help_in(match[1].removesuffix('"""'))
 
 

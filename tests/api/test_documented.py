@@ -32,13 +32,15 @@ def methods() -> set[str]:
 @pytest.mark.parametrize("verb", sorted(COMMANDS.keys() - WITHOUT_FUNCTION))
 def test_every_verb_has_a_function_of_its_name(verb: str) -> None:
     name = verb.removeprefix("maintain ").removeprefix("study run ")
-    assert FUNCTIONS.get(name, re.sub(r"[ -]", "_", name)) in set(fsar_ledger.__all__) | methods()
+    function = FUNCTIONS.get(name, re.sub(r"[ -]", "_", name))
+    assert function in set(fsar_ledger.__all__) | methods(), "make it a method of Ledger in fsar_ledger/api/ledger.py"
 
 
 def test_every_public_name_is_documented() -> None:
     named = set(re.findall(r"\w+", PAGE))
     internal = {"database", "about_run", "path"}
-    assert (set(fsar_ledger.__all__) | methods()) - internal - named == set()
+    missing = (set(fsar_ledger.__all__) | methods()) - internal - named
+    assert not missing, f"{', '.join(sorted(missing))}: run `python docs/write.py python.md`, or describe it there"
 
 
 def test_every_public_name_can_be_imported_and_says_what_it_is() -> None:

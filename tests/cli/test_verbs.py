@@ -5,6 +5,7 @@ import inspect
 import io
 import json
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
 from pkgutil import iter_modules
 from typing import Any
@@ -15,8 +16,8 @@ from typer.main import get_command
 import fsar_ledger
 from benchmarks.every_command import example_of
 from fsar_ledger import api
-from fsar_ledger.api.verbs import VERBS, Option, declared
-from fsar_ledger.cli.app import _summary, app
+from fsar_ledger.api.verbs import VERBS, Option, declared, verb
+from fsar_ledger.cli.app import GROUPS, _summary, app
 from tests.cli.conftest import Call, one_message
 from tests.quick import few
 
@@ -41,6 +42,19 @@ def command_of(name: str) -> Any:
     for word in name.split():
         command = command.commands[word]
     return command
+
+
+def test_every_verb_is_in_a_group_of_the_help() -> None:
+    missing = {name.partition(" ")[0] for name in VERBS} - set(chain.from_iterable(GROUPS.values()))
+    assert not missing, f"{', '.join(sorted(missing))}: name each in GROUPS of fsar_ledger/cli/app.py"
+
+
+def test_a_verb_without_a_docstring_is_refused() -> None:
+    def silent(ledger: Any) -> None:
+        raise AssertionError(ledger)
+
+    with pytest.raises(TypeError, match=r"test_verbs\.silent: found no docstring, expected one, whose first line is"):
+        verb("silent out/ledger")(silent)
 
 
 @pytest.mark.parametrize("name", sorted(VERBS.keys() - WITHOUT_FUNCTION))
