@@ -65,7 +65,8 @@ def test_the_words_of_an_event_name_parts_of_the_line_that_are_there() -> None:
     for tag, (sender, receiver, message) in lines.items():
         assert None not in (sender, receiver), tag
         if told[tag]["detail"] is not None:
-            assert str(message).startswith(f"{told[tag]['words']}: "), tag
+            detail = f"{tag}: `details` of queries/facts/occurrences.sql has no key {told[tag]['detail']}"
+            assert str(message).startswith(f"{told[tag]['words']}: "), detail
     assert len(lines) == len(told) - 1
 
 
