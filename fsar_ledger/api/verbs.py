@@ -260,7 +260,7 @@ InvariantOption = Annotated[
         "--invariant",
         "NAME",
         "i1 to i5 or a1 to a5, or a whole name; may be repeated.",
-        "all ten",
+        "all",
         complete="invariants",
     ),
 ]

@@ -1,4 +1,4 @@
-"""Check the ten invariants: what each query of `queries/invariants/` finds, by architecture and configuration.
+"""Check the invariants: what each query of `queries/invariants/` finds, by architecture and configuration.
 
 Also the single verdicts on a run, of invariants and of metrics, each with the events behind it.
 """

@@ -2,8 +2,7 @@
 -- Paper: sec:model:invariants, sec:architecture:invariants
 -- Grain: one row per run and invariant with at least one case
 -- Key: run_id, invariant
--- Units: cases records, decisions, executions or acts of recovery, each judged by the invariant; never fewer than the
---   events that break it
+-- Units: cases records, decisions, executions or acts of recovery; never fewer than the events that break the invariant
 -- NULL: never; without a row there was nothing to judge, which is no pass
 -- Example: fsar-ledger query facts/invariant_cases LEDGER
 -- Stored: each invariant of an audit reads it
@@ -11,10 +10,8 @@
 WITH of_types AS ( -- conditions on the type alone are evaluated once per type
     SELECT
         run_id, type,
-        count(*) AS events,
-        count(*) FILTER (robot = on_behalf_of) AS own,
+        count(*) AS events, count(*) FILTER (names_somebody) AS naming, count(*) FILTER (robot = on_behalf_of) AS own,
         count(*) FILTER (type = 'ExecutionHeld.v1' AND len(path) > 0) AS held_on_path,
-        count(*) FILTER (names_somebody) AS naming,
         count(*) FILTER (executed_by IS NOT NULL OR robot IS NOT NULL) AS placed,
         count(*) FILTER (executed_by IS NOT NULL OR robot = 'coordinator' OR starts_with(robot, 'service/')) AS central
     FROM naming_events

@@ -26,21 +26,18 @@ WITH judges (judges, entries) AS (
     ('a3_no_silent_policy_override', 'PolicyRuleSet>PolicyConflictEscalated RequestAdmitted>SupervisorResponded'),
     ('a3_no_silent_policy_override', 'ExecutionHeld*'),
     (
-        'i4_outward_recovery',
-        'FailureResolved* ExecutionFailed RecoveryAttempted RecoveryAttemptFailed* RecoveryEscalated AssistanceRequested
-        AssistanceAdmitted AssistanceEnded ReassignmentDecided ReassignmentDecided.helper SupervisorCalled*
-        SupervisorResponded RecoveryBudgetSet>RecoveryEscalated.reason'
+        'i4_outward_recovery', 'FailureResolved* ExecutionFailed RecoveryAttempted RecoveryAttemptFailed*
+        RecoveryEscalated AssistanceRequested AssistanceAdmitted AssistanceEnded ReassignmentDecided
+        ReassignmentDecided.helper SupervisorCalled* SupervisorResponded RecoveryBudgetSet>RecoveryEscalated.reason'
     ),
     (
-        'i5_audit_attributability audit_attributability',
-        'RobotJoined RobotJoined.supervisor SupervisorLeft SupervisorReturned GapDetected.action_id
-        GapDetected>RequestIssued RegistryQueried>RequestIssued RequestIssued>RequestAccepted
-        RequestIssued>RequestUnanswered RequestIssued>RequestClosed'
+        'i5_audit_attributability audit_attributability', 'RobotJoined RobotJoined.supervisor SupervisorLeft
+        SupervisorReturned GapDetected.action_id GapDetected>RequestIssued RegistryQueried>RequestIssued
+        RequestIssued>RequestAccepted RequestIssued>RequestUnanswered RequestIssued>RequestClosed'
     ),
     (
-        'a1_local_runtime_self_sufficiency',
-        'ExecutionStarted* OwnStepDecided OwnStepDecided.decided_by OwnStepDecided.executed_by
-        RoutinePerformed.decided_by RoutineWithheld.decided_by ExecutionStarted.on_behalf_of'
+        'a1_local_runtime_self_sufficiency', 'ExecutionStarted* OwnStepDecided OwnStepDecided.decided_by
+        OwnStepDecided.executed_by RoutinePerformed.decided_by RoutineWithheld.decided_by ExecutionStarted.on_behalf_of'
     ),
     ('i5_audit_attributability a2_coordination_only_federation', 'ExecutionStarted*'),
     (
