@@ -149,9 +149,10 @@ def _field(field: inspect.Field) -> Field:
             return Field(field.name, "boolean", is_nullable, None)
         case (inspect.VarTupleType(item_type=item),) if _alternatives(item) == [inspect.StrType()]:
             return Field(field.name, "strings", is_nullable, None)
+    found = " or ".join(type(kind).__name__.removesuffix("Type").removeprefix("Var").lower() for kind in kinds)
     raise TypeError(
-        f"field {field.name}: found {field.type}; a ledger holds str, Literal of str, int, bool or tuple[str, ...], "
-        "each or None"
+        f"field {field.name}: found {found}, expected str, Literal of str, int, bool or tuple[str, ...], each or None, "
+        "which a ledger holds; write a fraction as an integer of a smaller unit"
     )
 
 
@@ -171,7 +172,10 @@ def stored_type(cls: type[Event]) -> StoredType:
     """
     info = inspect.type_info(cls)
     assert isinstance(info, inspect.StructType)
-    members = tuple(map(_member, info.fields))
+    try:
+        members = tuple(map(_member, info.fields))
+    except TypeError as error:
+        raise TypeError(f"{info.tag}: {error}") from None
     fields = tuple(chain.from_iterable(member.fields for member in members))
     hidden = {field.name for field in fields} & {field.name for field in ENVELOPE}
     if hidden:
@@ -192,7 +196,7 @@ def columns(layouts: tuple[StoredType, ...]) -> dict[str, Kind]:
             if payload.setdefault(field.name, field.kind) != field.kind:
                 raise TypeError(
                     f"{layout.tag}: field {field.name} is {field.kind}, in another event type {payload[field.name]}; "
-                    "one name is one column"
+                    "one name is one column: rename it"
                 )
     return kinds | dict(sorted(payload.items()))
 
