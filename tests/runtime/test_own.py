@@ -28,7 +28,7 @@ from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import Supervisor, TrustScope
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.fleet import RobotJoined
-from fsar_ledger.events.world import SupervisorLeft, SupervisorReturned
+from fsar_ledger.events.world import OutsiderRequestInjected, SupervisorLeft, SupervisorReturned
 from fsar_ledger.ledger.verify import verify
 from fsar_ledger.metrics.constant_names import unlike_ours
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
@@ -125,6 +125,15 @@ def test_a_night_without_an_end_lasts_as_long_as_the_run() -> None:
         time_us for time_us, event in schedule(endless, 7, "night", 0, 3) if isinstance(event, SupervisorReturned)
     ]
     assert all(time_us < 30_000_000 for time_us in returned)
+
+
+def test_each_request_of_several_injections_has_a_name_and_a_time_of_its_own() -> None:
+    asked = tuple(Injection("porter", door, "door.open.secure", 2) for door in ("east-door", "west-door"))
+    own = msgspec.structs.replace(OWN, scenario=msgspec.structs.replace(SCENARIO, injections=asked))
+    injected = [one for one in schedule(own, 7, "night", 0, 6) if isinstance(one[1], OutsiderRequestInjected)]
+    names = [one.task_id for _, one in injected if isinstance(one, OutsiderRequestInjected)]
+    assert sorted(names) == [f"injected-{team}-{number}" for team in (1, 2) for number in (1, 2, 3, 4)]
+    assert len({round(time_us / 1e3) for time_us, _ in injected}) == 8
 
 
 def test_own_runs_verify_and_replay_from_the_ledger_alone(tmp_path: Path) -> None:

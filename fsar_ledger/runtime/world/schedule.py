@@ -330,19 +330,17 @@ def _tasks(world: WorldConstants, key: bytes, scenario: Scenario, team: int, loa
         jitter_us = Stream(key, f"jitter/{task.owner}{team}-{ordinal}").within_us(world.jitter)
         arrival_us = start_us + offset_us + jitter_us
         facts.append((arrival_us, arrived(world, task, team, ordinal, arrival_us)))
-    for injection in scenario.injections:
-        for ordinal in range(1, injection.times + 1):
-            name = f"injected-{team}-{ordinal}"
-            time_us = Stream(key, f"injection/{name}").within_us(world.injection)
-            requester, target = robot_named(injection.requester, team), robot_named(injection.target, team)
-            facts.append(
-                (
-                    time_us,
-                    OutsiderRequestInjected(
-                        task_id=name, robot=requester, peer=target, capability=injection.capability
-                    ),
-                )
+    injected = [injection for injection in scenario.injections for _ in range(injection.times)]
+    for ordinal, injection in enumerate(injected, start=1):
+        name = f"injected-{team}-{ordinal}"
+        time_us = Stream(key, f"injection/{name}").within_us(world.injection)
+        requester, target = robot_named(injection.requester, team), robot_named(injection.target, team)
+        facts.append(
+            (
+                time_us,
+                OutsiderRequestInjected(task_id=name, robot=requester, peer=target, capability=injection.capability),
             )
+        )
     if scenario.degradable:
         stream = Stream(key, f"degradation/{team}")
         happens, which, onset = stream.uniform() < world.degradation_probability, stream.uniform(), stream.uniform()
