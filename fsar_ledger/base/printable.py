@@ -70,6 +70,11 @@ def value(text: str, most: int = MAX_VALUE) -> str:
     return _escaped(text, is_whole=True)
 
 
+def named(text: str) -> str:
+    """Return the value for a sentence: as `value`, in quotes if it is blank at an end, where nobody would see it."""
+    return value(text) if text and text == text.strip() else f'"{value(text)}"'
+
+
 def cell(text: str, most: int = MAX_VALUE) -> str:
     """Return the value for a column of a table: as `value`, but also escape blanks that look like column space."""
     printed = value(text, most)

@@ -34,6 +34,7 @@ _KEY = re.compile(r"""\s*([\w-]+|"[^"]*"|'[^']*')((?:\s*\.\s*[\w-]+)*)\s*=""")
 _AT = re.compile(r"^(?P<what>.*?)(?: - at `\$(?P<at>.*)`)?$", re.DOTALL)
 _MANY_DIGITS = re.compile(r"\d(?:_?\d){4300}")
 _UNREADABLE = "a whole number of thousands of digits"
+_TWICE = re.compile(r"Cannot declare \('(\w+)',\) twice")
 _NAMED = re.compile(r"(?:unknown|required) field `([^`]*)`")
 
 
@@ -64,6 +65,9 @@ def decoded(text: str, kind: type[_T], where: str) -> _T:
         position = re.search(r" \(at line (\d+), column \d+\)$", message)
         line = int(position[1]) if position else text.count("\n") + 1
         words = message[: position.start()] if position else message.removesuffix(" (at end of document)")
+        if twice := _TWICE.fullmatch(words):
+            expected = _entries(twice[1]) if _has_entries(kind, twice[1]) else "it once"
+            raise UsageError(f"{where}:{line}: found [{twice[1]}] again, expected {expected}") from error
         raise UsageError(f"{where}:{line}: {printable.value(words)}; expected TOML") from error
     except RecursionError as error:
         raise UsageError(f"{where}: found brackets nested too deeply, expected TOML of a {_what(kind)}") from error
@@ -78,6 +82,8 @@ def decoded(text: str, kind: type[_T], where: str) -> _T:
     except msgspec.ValidationError as error:
         field, value, expected = fault(str(error), kind, content)
         about = at_line(where, text, field) if field else where
+        if len(field) == 1 and isinstance(content.get(name := field_name(field)), dict) and _has_entries(kind, name):
+            value, expected = f"one table [{name}]", _entries(name)
         raise UsageError(f"{about}: found {value}, expected {expected}") from error
     for table, key, who in ALL_IF_LEFT_OUT if kind is Fleet else ():
         for number, entry in enumerate(content.get(table, ())):
@@ -85,6 +91,16 @@ def decoded(text: str, kind: type[_T], where: str) -> _T:
                 about = at_line(where, text, (table, number, key))
                 raise UsageError(f"{about}: found an empty list, expected some {who}, or no such field, for all")
     return design
+
+
+def _has_entries(kind: Any, name: str) -> bool:
+    """Return whether the field is a list of tables."""
+    parts: tuple[Any, ...] = getattr(_inside(kind, (name,)), "__args__", ())
+    return bool(parts) and isinstance(parts[0], type) and issubclass(parts[0], msgspec.Struct)
+
+
+def _entries(name: str) -> str:
+    return f"[[{name}]] before each of its entries"
 
 
 def _with_parameters(content: dict[str, Any], text: str, where: str) -> dict[str, Any]:
@@ -208,11 +224,11 @@ def fault(message: str, kind: type[Any], found: Any) -> tuple[Field, str, str]:
         expected = f"one of {', '.join(_choices(kind, field))}"
         expected += printable.did_you_mean(str(value), _choices(kind, field))
     try:
-        text = printable.value(str(value))
+        text = printable.named(str(value).lower() if isinstance(value, bool) else str(value))
     except ValueError:  # TOML writes numbers of other bases, too, which Python reads but does not write
         text = _UNREADABLE
     if isinstance(value, str) and not what.startswith("Invalid enum value"):
-        text = f'"{text}"'  # a text where another type is expected
+        text = f'"{printable.value(value)}"'  # a text where another type is expected
     return field, text, _type(expected)
 
 

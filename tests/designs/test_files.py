@@ -120,6 +120,20 @@ def test_the_line_of_a_field_is_found_in_tables_inside_a_list_and_under_dotted_k
             'lasts_s = [1, 2.5]\nvisibility = "domains"',
             "my.toml:21: capabilities[1].visibility: found domains, expected one of global, domain, trust-gated; did",
         ),
+        (
+            "[[off_shift]]",
+            "[off_shift]",
+            "my.toml:26: off_shift: found one table [off_shift], expected [[off_shift]] be",
+        ),
+        ("to_s = 9.5", "[off_shift]", "my.toml:28: found [off_shift] again, expected [[off_shift]] before each of its"),
+        ("to_s = 9.5", "[trust_by_record]\n" * 2, "my.toml:29: found [trust_by_record] again, expected it once"),
+        (
+            "to_s = 9.5",
+            '[[trust]]\nscope = ""',
+            'my.toml:29: trust[0].scope: found "", expected one of none, capability',
+        ),
+        ("from_s = 5", "[of_shift]", "my.toml:27: of_shift: found an unknown field"),
+        ("from_s = 5", "from_s = true", "my.toml:27: off_shift[0].from_s: found true, expected a number"),
         ("from_s = 5", 'from_s = "5"', 'my.toml:27: off_shift[0].from_s: found "5", expected a number'),
         (
             "lasts_s = [1, 2.5]",
@@ -165,6 +179,12 @@ def test_a_number_of_thousands_of_digits_is_refused_with_its_line(digits: str, s
             'bodies = ["porter"]',
             'bodies = ["porters"]',
             "bodies[0]: found porters, expected one of the roles of the fleet (porter, door); did you mean porter?",
+        ),
+        ('name = "porter"', 'name = "porter "', 'robots[0].name: found "porter ", expected letters, digits, - and _,'),
+        (
+            'bodies = ["porter"]',
+            'bodies = [""]',
+            'bodies[0]: found "", expected one of the roles of the fleet (porter,',
         ),
         ('name = "porter"', 'name = "porter1"', "robots[0].name: found porter1, expected letters, digits, - and _,"),
         (

@@ -332,7 +332,7 @@ def _problems_of_step(field: Field, step: str, robots: dict[str, Robot], fleet: 
     words = step.split(" ")
     if not 2 <= len(words) <= 3 or not all(words):
         yield Problem(
-            field, printable.value(step), "ROBOT CAPABILITY, or ROBOT CAPABILITY TARGET for one that it delegates"
+            field, printable.named(step), "ROBOT CAPABILITY, or ROBOT CAPABILITY TARGET for one that it delegates"
         )
         return
     actor, capability, *target = words
@@ -372,7 +372,7 @@ def _within(field: Field, domain: str, fleet: Fleet) -> Iterator[Problem]:
 
 def _malformed_name(field: Field, name: str, pattern: re.Pattern[str], expected: str) -> Iterator[Problem]:
     if not pattern.fullmatch(name):
-        yield Problem(field, printable.value(name), expected)
+        yield Problem(field, printable.named(name), expected)
 
 
 def _first(field: Field, name: str, earlier: Sequence[str], found: str) -> Iterator[Problem]:
@@ -389,4 +389,4 @@ def _each(field: Field, names: Sequence[str], known: Collection[str], what: str)
 def _unknown_name(field: Field, name: str, known: Collection[str], what: str) -> Iterator[Problem]:
     if name not in known:
         hint = printable.did_you_mean(name, known)
-        yield Problem(field, printable.value(name), f"one of {what} ({', '.join(known) or 'none'}){hint}")
+        yield Problem(field, printable.named(name), f"one of {what} ({', '.join(known) or 'none'}){hint}")
