@@ -16,7 +16,8 @@ WITH records AS (
         events.type IN ('ExecutionStarted.v1', 'ExecutionFinished.v1') AS is_deed, -- a record may begin between them
         max(told.seq) FILTER (
             events.type IN ('CommandIssued.v1', 'RequestAccepted.v1', 'ExecutionQueued.v1', 'ExecutionStarted.v1')
-        ) OVER (PARTITION BY told.run_id, told.action_id) AS begun_seq,
+        ) OVER of_action AS begun_seq,
+        any_value(events.robot) FILTER (events.type = 'StepBegan.v1') OVER of_action AS acting,
         told.seq > coalesce(begun_seq, -1) AS is_last, -- an action that begins again is not over
         -- An action that an isolated robot failed to complete is still to be done.
         is_last AND events.type IN ('ExecutionFinished.v1', 'RequestClosed.v1')
@@ -31,6 +32,7 @@ WITH records AS (
         ) AS is_open
     FROM action_events AS told
     INNER JOIN events ON told.run_id = events.run_id AND told.seq = events.seq
+    WINDOW of_action AS (PARTITION BY told.run_id, told.action_id)
 )
 
 SELECT
@@ -69,7 +71,8 @@ SELECT
     min(seq) FILTER (type = 'RegistryQueried.v1' AND len(candidates) > 0) AS offered_seq,
     bool_or(
         target_role IS NOT NULL
-        OR type IN ('RequestIssued.v1', 'CommandIssued.v1', 'RegistryQueried.v1', 'OutsiderRequestInjected.v1')
+        OR type IN ('RequestIssued.v1', 'RegistryQueried.v1', 'OutsiderRequestInjected.v1')
+        OR (type = 'CommandIssued.v1' AND robot IS DISTINCT FROM acting) -- a master commands a robot's own steps, too
     )
     AND NOT bool_or(type = 'OwnStepDecided.v1') AS is_request -- a failed step of one's own asks the registry for help
 FROM records

@@ -26,12 +26,13 @@ told AS (
             'format': format, 'kind': kind, 'from': coalesce(continues, fleet_run, isolated_run), 'result': result,
             'planned': run_count || ' runs of each architecture, configuration and scenario',
             'role': role, 'capability': capability, 'availability': availability, 'scope': scope, 'window': "window",
-            'thresholds': promote_after || ' successes promote, ' || downgrade_after || ' failures downgrade',
+            'thresholds': if(promote_after = 0, 'never promoted', 'promoted after ' || promote_after)
+            || if(downgrade_after = 0, ', never downgraded', ', downgraded after ' || downgrade_after),
             'rule': scope || ' ' || outcome, 'phase': phase_ppm || ' ppm', 'obstruction': obstruction, 'grade': grade,
             'peer': peer, 'task': task_id, 'dimension': dimension, 'granted': 'override ' || override,
             'reason': reason, 'operation': operation, 'outcome': outcome, 'item': item, 'command': command,
             'density': if(review_every = 0, 'no reviews', 'a review every ' || review_every || ' admissions'),
-            'budget': level || ', ' || n_max || ' attempts within ' || (t_max_us / 1000000) || ' s'
+            'budget': concat(level, ', ', n_max, ' attempt', if(n_max = 1, '', 's'), ' within ', t_max_us / 1e6, ' s')
         } AS details,
         concat_ws(
             '; ',
@@ -54,12 +55,11 @@ told AS (
             nullif(array_to_string(
                 list_transform(list_zip(names, texts), LAMBDA pair: pair[1] || ' ' || pair[2]), ', '
             ), ''),
-            CASE WHEN len(steps) > 0 THEN len(steps) || ' steps' END,
+            CASE WHEN len(steps) > 0 THEN len(steps) || if(len(steps) = 1, ' step', ' steps') END,
             'budget ' || (budget_us / 1000000) || ' s', 'due ' || (due_us / 1000000) || ' s',
             'step ' || step, 'attempt ' || attempt, 'with a robot of role ' || target_role,
-            CASE WHEN robot <> on_behalf_of THEN 'for ' || on_behalf_of END,
+            CASE WHEN robot <> on_behalf_of THEN 'for ' || on_behalf_of END, 'done at ' || ready_us / 1000000 || ' s',
             'as of ' || (as_of_us / 1000000) || ' s', 'until ' || (until_us / 1000000) || ' s',
-            'done at ' || (ready_us / 1000000) || ' s',
             'about ' || subject, CASE WHEN words.detail IS DISTINCT FROM 'reason' THEN reason END,
             CASE WHEN words.sender <> 'decider' THEN 'decided by ' || nullif(decided_by, coalesce(robot, '')) END
         ) AS note

@@ -231,6 +231,14 @@ def test_an_own_step_that_asks_for_help_after_it_failed_is_no_request() -> None:
     assert asked("requests", "is_request", asks, action="t1/1.1") == [(True,)]
 
 
+def test_a_robots_own_step_that_a_master_commands_is_no_request_for_another() -> None:
+    began = event("StepBegan", 1, action_id="t1/1.1", robot="robot/A1", capability="lift")
+    own, other = (event("CommandIssued", 2, action_id="t1/1.1", robot=f"robot/{name}") for name in ("A1", "B1"))
+    assert asked("requests", "is_request", began, own, action="t1/1.1") == [(False,)]
+    assert asked("requests", "is_request", began, other, action="t1/1.1") == [(True,)]
+    assert asked("requests", "is_request", own, action="t1/1.1") == [(True,)]
+
+
 def test_a_time_that_is_no_number_is_refused() -> None:
     with pytest.raises(QueryFailed, match="noon"):
         asked("trust_at", "robot", trust(1, "A1", "B1", "task"), at_us="noon")

@@ -80,6 +80,12 @@ def test_the_parts_of_an_event_are_named_where_they_are_known() -> None:
     assert line(begun) == (A, A, "turns to: lift", "step 1; attempt 2")
     budget = event("RecoveryBudgetSet", S, robot=A, level="peer", t_max_us=5 * S, n_max=2, decided_by=SUPERVISOR)
     assert line(budget) == (SUPERVISOR, A, "sets recovery budget: peer, 2 attempts within 5.0 s", None)
+    once = event("RecoveryBudgetSet", S, robot=A, level="local", t_max_us=S, n_max=1, decided_by=SUPERVISOR)
+    assert line(once) == (SUPERVISOR, A, "sets recovery budget: local, 1 attempt within 1.0 s", None)
+    arrived = event("TaskArrived", S, task_id="t1", robot=A, steps=["A lift"], budget_us=S, due_us=2 * S)
+    assert line(arrived) == (A, A, "receives task: t1", "1 step; budget 1.0 s; due 2.0 s")
+    follows = event("TrustThresholdsSet", S, promote_after=3, downgrade_after=0, decided_by="H_F")
+    assert line(follows)[2] == "sets how trust follows the record: promoted after 3, never downgraded"
     rejected = event("CommandRejected", S, command="SubmitTask", subject="t9", reason="unknown robot")
     assert line(rejected) == (None, None, "command rejected: SubmitTask", "about t9; unknown robot")
     rule = event("PolicyRuleSet", S, scope="fleet", outcome="deny", capability="lift", decided_by="H_F")
