@@ -8,6 +8,8 @@ from msgspec.structs import replace
 from fsar_ledger.designs import Budget, Capability, Density, Fleet, Policy, Robot, Scenario, Task, Trust
 from fsar_ledger.designs.constants import Constants, WorldConstants
 from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityClaimed
+from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.recovery import RecoveryAttempted, RecoveryBudgetSet, RecoveryEscalated
 from fsar_ledger.events.registry import RegistryQueried
@@ -163,6 +165,24 @@ def test_the_budget_of_a_role_comes_before_that_of_every_role() -> None:
             *((robot, "human", 60 * S, 1) for robot in (PORTER, DOOR, GATE)),
         ]
     )
+
+
+@pytest.mark.parametrize("architecture", ["fsar", "cfc", "dhma", "jade", "alliance", "roboos"])
+def test_nobody_supervises_whom_the_file_does_not_name(architecture: str) -> None:
+    """A window opens at each robot as it works: those of CFC have its supervisors claim to supervise the work."""
+    porter, door, gate = FLEET.robots
+    robots = (
+        replace(porter, supervisor="maria"),
+        replace(door, has_supervisor=False),
+        replace(gate, supervisor="otto"),
+    )
+    laws = WorldConstants(context_rate_per_s=0.3, context_window_share=1.0, review_share=0.0)
+    constants = Constants(world=laws, scenario=SCENARIO, fleet=replace(FLEET, robots=robots))
+    events = list(simulate_run(RunSpec(7, architecture, "full", "night", 3, 0), constants).events)
+    named = {str(value) for event in events for value in flat(event).values() if str(value).startswith("supervisor/")}
+    assert named <= {"supervisor/maria", "supervisor/otto", "supervisor/fleet"}
+    claimed = {one.claimant for one in of(events, AuthorityClaimed) if one.dimension == "audit"}
+    assert architecture != "cfc" or "supervisor/maria" in claimed
 
 
 def test_such_fleets_replay_under_every_architecture(tmp_path: Any) -> None:

@@ -13,7 +13,6 @@ from fsar_ledger.events.envelope import (
     Principal,
     Robot,
     Subject,
-    local_supervisor,
 )
 from fsar_ledger.events.execution import (
     ExecutionFailed,
@@ -100,15 +99,16 @@ class EndWatch(Command):
 
 @HANDLERS.decide(SafeStop, commanded_robot)
 def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
-    """Let the robot claim override over its actions, and both supervisors claim supervision where a window opened."""
+    """Let the robot claim override over its actions, and its supervisor and H_F supervision where a window opened."""
     claimed: list[Event] = []
     for action_id in _claimed_actions(state.authority, state.request, command.robot):
         task_id = state.request.open[action_id].task_id
         claims: list[tuple[Dimension, Principal, str]] = [("override", command.robot, "safe stop")]
         if command.window is not None:
             claims.append(("audit", FLEET_SUPERVISOR, "policy window"))
-            if on_shift(state, command.robot) is not None:
-                claims.append(("audit", local_supervisor(command.robot), command.window))
+            supervisor = on_shift(state, command.robot)
+            if supervisor not in (None, FLEET_SUPERVISOR):
+                claims.append(("audit", supervisor, command.window))
         existing = {(claim.dimension, claim.claimant, claim.reason) for claim in state.authority.claims[action_id]}
         claimed += [
             AuthorityClaimed(subject=Subject(task_id, action_id), dimension=dimension, claimant=claimant, reason=reason)
