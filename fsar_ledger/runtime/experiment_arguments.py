@@ -26,7 +26,7 @@ from fsar_ledger.ledger.store.shards import log_of, views_of
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.provenance import EXPERIMENTS
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, workflow_experiment
-from fsar_ledger.runtime.own import is_file, with_own
+from fsar_ledger.runtime.own import is_file, with_exchanges, with_own
 from fsar_ledger.runtime.paper import NAMES, paper_ledger, whole_of
 from fsar_ledger.runtime.simulation import plan_id
 from fsar_ledger.runtime.world import team_size
@@ -93,7 +93,7 @@ def experiment_of(
         runs=RUNS if runs is None else runs,
         seed=seed,
         fleet_size=size,
-        constants=constants,
+        constants=with_exchanges(constants, settings or ()),
         first_run=first_run,
     )
 

@@ -6,7 +6,7 @@ the files.
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from math import inf, isfinite
+from math import ceil, inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from fsar_ledger.designs.constants import (
     NEVER_AT_0,
     SIGNED,
     Constants,
+    Load,
     with_all_groups,
 )
 from fsar_ledger.designs.registered import Field, at_line, fault, read_design
@@ -34,6 +35,7 @@ from .handlers.public import commands, own_fields, with_nulls
 from .world.checks import Problem, problems_of_fleet, problems_of_scenario
 
 _PART = re.compile(r'\.?([A-Za-z_]\w*)|\["([^"]+)"\]')
+_EXCHANGES = "structure.watch_us"
 _SHARES = ("_share", "_probability", "_reliability")
 
 
@@ -101,6 +103,29 @@ def _with_settings_of(
     except UsageError as error:
         raise UsageError(f"{at_line(str(path), text, ('settings',))}: {error}") from error
     return constants
+
+
+def with_exchanges(constants: Constants, settings: Sequence[str]) -> Constants:
+    """Return the constants with periodic exchanges until every task of the user's own scenario can have arrived.
+
+    Exchanges that have ended do not begin again: a task that came then would be decided on copies as old as that. A
+    value that is set, by the scenario or in `settings`, stands. Raises: InvalidExperiment if one can come too late.
+    """
+    scenario, world, load = constants.scenario, constants.world, constants.load or Load()
+    if scenario is None:
+        return constants
+    work_s = [command.at_s for command in scenario.commands if command.command == "SubmitTask"]
+    after_s = world.start.high_s + world.jitter.high_s + load.interval_s * (load.task_sets - 1)
+    last_s = max(*work_s, *(task.offset_s + after_s for task in scenario.tasks), 0.0)
+    if last_s > END_US / 1e6:
+        raise InvalidExperiment(
+            f"scenario {scenario.name}: found a task that can arrive {printable.number(last_s)} s after the beginning "
+            f"of the run, expected all within its {END_US // 1_000_000:,} s; give it a smaller offset_s"
+        )
+    if any(setting.startswith(f"{_EXCHANGES}=") for setting in (*settings, *scenario.settings)):
+        return constants
+    watch_us = max(constants.structure.watch_us, ceil(last_s * 1e6))
+    return msgspec.structs.replace(constants, structure=msgspec.structs.replace(constants.structure, watch_us=watch_us))
 
 
 def _others(of_scenario: Sequence[str], settings: Sequence[str]) -> list[str]:

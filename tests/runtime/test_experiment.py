@@ -9,11 +9,16 @@ import pytest
 
 from fsar_ledger.base.errors import InvalidExperiment, NotALedger
 from fsar_ledger.designs.constants import Constants, Outages, Range, Structure, WorldConstants
+from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
+from fsar_ledger.events.knowledge import CopySynced, SnapshotTaken
+from fsar_ledger.events.task import TaskCompleted
+from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.verify import verify
 from fsar_ledger.runtime.experiment import Experiment, missing_runs, run_experiment
-from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, run_id, run_started
+from fsar_ledger.runtime.experiment_arguments import experiment_of
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, run_id, run_started, simulate_run
 
 SMALL = Experiment(PAPER_ARCHITECTURES, SCENARIOS[:2], runs=5, seed=3)
 
@@ -37,6 +42,43 @@ def test_batches_have_as_many_runs_as_a_commit_holds_of_such_a_fleet_and_the_las
     larger = msgspec.structs.replace(SMALL, fleet_size=16)
     assert [len(batch) for batch in larger.batches()] == [22, 8]
     assert {len(batch) for batch in msgspec.structs.replace(SMALL, fleet_size=1024).batches()} == {1}
+
+
+def late(folder: Path, offset_s: float, *more: str) -> str:
+    """A scenario of a user with a task so late, and what else its file says."""
+    path = folder / "late.toml"
+    steps = 'owner = "A"\nsteps = ["A navigate.indoor", "A door.open.secure B"]\n'
+    path.write_text("\n".join(('name = "late"', *more, f"[[tasks]]\n{steps}[[tasks]]\noffset_s = {offset_s}\n{steps}")))
+    return str(path)
+
+
+def watch_s(path: str, load: tuple[int | None, int] = (None, 1), settings: list[str] | None = None) -> float:
+    experiment = experiment_of(None, [path], 1, 3, None, None, load=load, settings=settings)
+    return experiment.constants.structure.watch_us / 1e6
+
+
+def test_periodic_exchanges_go_on_until_every_task_of_an_own_scenario_can_have_arrived(tmp_path: Path) -> None:
+    assert watch_s(late(tmp_path, 77)) == 100, "the default"
+    assert watch_s(late(tmp_path, 200)) == 223, "a start within 20 s, and 3 s of jitter"
+    assert watch_s(late(tmp_path, 200), (None, 3)) == 283, "two more sets, one each 30 s"
+    assert watch_s(late(tmp_path, 200), settings=["structure.watch_us=5"]) == 5e-6
+    assert watch_s(late(tmp_path, 200, 'settings = ["structure.watch_us=7"]')) == 7e-6
+    with pytest.raises(InvalidExperiment, match="late: found a task that can arrive 1801 s after the beginning"):
+        watch_s(late(tmp_path, 1778))
+
+
+@pytest.mark.parametrize(("architecture", "kind"), [("cfc", CopySynced), ("dhma", SnapshotTaken)])
+def test_a_late_task_is_decided_on_copies_that_are_still_refreshed(
+    architecture: str, kind: type[Event], tmp_path: Path
+) -> None:
+    experiment = experiment_of([architecture], [late(tmp_path, 200)], 1, 3, None, None)
+    [spec] = experiment.specs()
+    record = simulate_run(spec, experiment.constants)
+    times = {
+        which: [time_us for time_us, event in zip(record.times_us, record.events, strict=True) if type(event) is which]
+        for which in (kind, TaskArrived, TaskCompleted)
+    }
+    assert any(times[TaskArrived][-1] < time_us < times[TaskCompleted][-1] for time_us in times[kind])
 
 
 def test_what_is_missing_of_a_batch_is_committed_with_the_rest_of_that_batch() -> None:
