@@ -10,6 +10,7 @@ kept while looking at the cells of that table, in the study before the first fit
 a prediction. `Chosen`: ours, and no cell depends on it. `Dial`: of a published system (`dials.py`).
 """
 
+from functools import lru_cache
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
@@ -205,6 +206,13 @@ class Constants(msgspec.Struct, frozen=True):
     fleet: Fleet | None = None
     membership: Membership | None = None
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return how a worker gets the constants: as text, in which what a design leaves out stays left out.
+
+        msgspec leaves a default out by its identity, which a number loses on its way to another process.
+        """
+        return decode_parameters, (_as_json(self), type(self))
+
 
 DESIGNS = ("scenario", "fleet")
 """The groups that are a designer's own and hold no constants."""
@@ -219,12 +227,18 @@ def with_all_groups(constants: Constants) -> Constants:
 def write_constants(constants: Constants) -> str:
     """Return the constants as `RunStarted.parameters` holds them: JSON in field order, without absent groups.
 
-    Equal constants give equal text, whether a caller wrote 240 or 240.0, 0.0 or -0.0.
+    Equal constants give equal text, whether a caller wrote 240 or 240.0, 0.0 or -0.0; what the file of a design writes
+    out stays written out, also where it is the default.
 
     Raises:
         BadParameters: A value cannot be written as JSON, such as infinity, or is too long.
     """
-    valid = decode_parameters(_as_json(constants), type(constants))
+    return _written(_as_json(constants), type(constants))
+
+
+@lru_cache(maxsize=8)
+def _written(given: str, kind: type[Constants]) -> str:
+    valid = decode_parameters(given, kind)
     text = _as_json(valid)
     return (
         _as_json(msgspec.convert(_unsigned_zeros(msgspec.to_builtins(valid)), type(valid))) if "-0.0" in text else text

@@ -16,7 +16,7 @@ import msgspec
 
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import did_you_mean, value
-from fsar_ledger.designs.constants import Constants
+from fsar_ledger.designs.constants import Constants, write_constants
 from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.events.command import CommandGiven, CommandRejected
 from fsar_ledger.events.envelope import Robot
@@ -34,7 +34,7 @@ from .handlers.public import command_record, commands, read, texts_of
 from .handlers.request import ReportResult
 from .kernel import Kernel
 from .ports import ANSWERS_LATER, AS_USUAL, Ask, Fact, LiveEnvironment
-from .simulation import MODEL_VERSION, constants_text, fleet_founding, handler_table_of
+from .simulation import MODEL_VERSION, fleet_founding, handler_table_of
 from .snapshot import shape_of, state_sha256
 
 ARCHITECTURE = "fsar"
@@ -67,7 +67,7 @@ def live_started(constants: Constants, robots: int, epoch: str | None = None) ->
         configuration="full",
         fleet_size=robots,
         model_version=MODEL_VERSION,
-        parameters=constants_text(constants),
+        parameters=write_constants(constants),
         source=SOURCE,
         epoch=epoch,
     )

@@ -47,9 +47,6 @@ class RunSpec(msgspec.Struct, frozen=True):
     run: int
 
 
-constants_text = lru_cache(maxsize=8)(write_constants)
-
-
 def run_started(spec: RunSpec, constants: Constants) -> RunStarted:
     """Return event 0 of the run."""
     return RunStarted(
@@ -62,7 +59,7 @@ def run_started(spec: RunSpec, constants: Constants) -> RunStarted:
         fleet_size=spec.fleet_size,
         run=spec.run,
         model_version=MODEL_VERSION,
-        parameters=constants_text(constants),
+        parameters=write_constants(constants),
     )
 
 

@@ -1,6 +1,7 @@
 """Event 0: what it says of runs that are simulated, live or foreign, and that groups of constants added later change
 nothing."""
 
+import pickle
 from pathlib import Path
 
 import msgspec
@@ -50,6 +51,17 @@ def test_a_group_that_is_there_makes_another_run_and_is_recorded() -> None:
     assert write_constants(later) == write_constants(Constants())[:-1] + ',"lift":{"capacity_count":2}}'
     assert run_id(run_started(SPEC, later)) != run_id(run_started(SPEC, Constants()))
     assert read_constants(write_constants(later)) == Constants()
+
+
+def test_what_a_design_leaves_out_and_what_it_writes_out_is_so_in_every_process() -> None:
+    """msgspec leaves a default out by its identity, and equal constants are one key of a cache."""
+    tasks = '"tasks":[{"owner":"A","steps":["A navigate.indoor"]'
+    left_out, written_out = (f"{tasks}{more}}}]" for more in ("", ',"offset_s":0.0'))
+    for text in (left_out, written_out, left_out):
+        own = read_constants(f'{write_constants(Constants())[:-1]},"scenario":{{"name":"night",{text}}}}}')
+        sent: Constants = pickle.loads(pickle.dumps(own))  # as a worker gets it
+        assert sent == own
+        assert text in write_constants(sent) == run_started(SPEC, own).parameters
 
 
 def test_equal_constants_are_one_text() -> None:
