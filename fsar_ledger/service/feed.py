@@ -97,7 +97,8 @@ class Feed:
         """Return rows from this seq on, none if none arrives in this time. Raises: LedgerCorrupted."""
         if seq >= self.end:
             with suppress(TimeoutError):
-                await asyncio.wait_for(self._grown.wait(), timeout_s)
+                async with asyncio.timeout(timeout_s):  # `wait_for` of Python 3.11 may ignore that it is cancelled
+                    await self._grown.wait()
             if seq >= self.end:
                 return ()
         if self._kept and self._kept[0].seq <= seq:
@@ -257,7 +258,8 @@ class EventStream(Response):
         """Send events until the client disconnects, the service ends, or nothing can be sent."""
 
         async def put(body: bytes) -> None:
-            await asyncio.wait_for(send({"type": "http.response.body", "body": body, "more_body": True}), WRITE_S)
+            async with asyncio.timeout(WRITE_S):
+                await send({"type": "http.response.body", "body": body, "more_body": True})
 
         async def wait_for_disconnect() -> None:
             while (await receive())["type"] != "http.disconnect":
