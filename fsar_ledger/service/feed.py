@@ -6,6 +6,7 @@ client that follows events and does not read is disconnected.
 """
 
 import asyncio
+import math
 from collections import deque
 from collections.abc import Callable, Coroutine, Sequence
 from contextlib import suppress
@@ -41,8 +42,8 @@ KEPT = 1 << 15
 """How many of the newest events are in memory; older ones are read from the ledger."""
 
 MAX_HEADERS = 1 << 14
-HEADERS_S, WRITE_S = 10.0, 20.0
-"""Seconds that a client may take to send its headers, and to read."""
+HEADERS_S, WRITE_S, IDLE_S = 10.0, 20.0, 30.0
+"""Seconds that a client may take to send its headers, to read some of what was sent, and to make its next request."""
 ABORT = "fsar.abort"
 """The extension of the scope that ends a connection at once."""
 
@@ -283,20 +284,26 @@ class EventStream(Response):
 
 
 class LimitedProtocol(HttpToolsProtocol):
-    """An HTTP protocol that disconnects clients whose headers are too slow or too long."""
+    """An HTTP protocol that disconnects clients that are slow or idle, or whose headers are too long.
+
+    After an answer only the next request ends the wait: not empty lines, nor the rest of a body that was not read.
+    """
 
     def connection_made(self, transport: Any) -> None:
         """Begin to wait for headers."""
         super().connection_made(transport)
         self._header_bytes = 0
         self._deadline = self.loop.call_later(HEADERS_S, transport.abort)
+        self._idle: asyncio.TimerHandle | None = None
+        self._unread: asyncio.TimerHandle | None = None
+        self._answered: Any = None  # the request that is being answered, or was last
 
     def on_message_begin(self) -> None:
         """Begin to wait for headers."""
         super().on_message_begin()
         self.scope["extensions"] = {ABORT: {"call": self.transport.abort}}
         self._header_bytes = 0
-        self._deadline.cancel()
+        _cancel(self._idle, self._deadline)
         self._deadline = self.loop.call_later(HEADERS_S, self.transport.abort)
 
     def data_received(self, data: bytes) -> None:
@@ -311,8 +318,50 @@ class LimitedProtocol(HttpToolsProtocol):
         """Stop waiting for headers."""
         self._deadline.cancel()
         super().on_headers_complete()
+        if not self.pipeline:
+            self._answered = self.cycle
+
+    def on_response_complete(self) -> None:
+        """Begin to wait for the next request, unless it has come or begun already."""
+        if self.pipeline:
+            self._answered = self.pipeline[-1][0]
+        elif self._deadline.cancelled():
+            self._idle = self.loop.call_later(IDLE_S, self._end)
+        super().on_response_complete()
+
+    def pause_writing(self) -> None:
+        """Stop sending, and begin to wait until the client reads."""
+        super().pause_writing()
+        self._require_reading()
+
+    def resume_writing(self) -> None:
+        """Stop waiting until the client reads."""
+        super().resume_writing()
+        _cancel(self._unread)
+
+    def _end(self) -> None:
+        self.transport.close()  # once all has been read
+        self._require_reading()
+
+    def _require_reading(self, before: float = math.inf) -> None:
+        """Disconnect a client that has read nothing since this many bytes were waiting for it; else look again."""
+        _cancel(self._unread)
+        waiting = self.transport.get_write_buffer_size()
+        if waiting >= before:
+            self.transport.abort()
+        elif waiting:
+            self._unread = self.loop.call_later(WRITE_S, self._require_reading, waiting)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Stop waiting for headers."""
-        self._deadline.cancel()
+        """Stop waiting and answering. Where a client sent several requests at once, uvicorn ends only the newest."""
+        if self._answered is not None:
+            self._answered.disconnected = True
+            self._answered.message_event.set()
         super().connection_lost(exc)
+        _cancel(self._deadline, self._idle, self._unread)
+
+
+def _cancel(*timers: asyncio.TimerHandle | None) -> None:
+    for timer in timers:
+        if timer is not None:
+            timer.cancel()

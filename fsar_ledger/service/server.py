@@ -34,7 +34,7 @@ from fsar_ledger.runtime.live import Decision, command_given
 from fsar_ledger.sources.columns import object_of
 
 from . import Principal, Principals
-from .feed import Busy, Decider, EventStream, Feed, LimitedProtocol, Put, Row
+from .feed import IDLE_S, Busy, Decider, EventStream, Feed, LimitedProtocol, Put, Row
 from .pages import FILES, described, overview, page, page_file
 
 MAX_BODY, MAX_KEY = 1 << 16, 200
@@ -332,7 +332,7 @@ class Service:
             access_log=False,
             server_header=False,
             limit_concurrency=MAX_CONNECTIONS,
-            timeout_keep_alive=30,
+            timeout_keep_alive=int(IDLE_S),
             timeout_graceful_shutdown=END_S,
             ssl_certfile=certificate,
             ssl_keyfile=key,

@@ -3,7 +3,7 @@
 import socket
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +112,41 @@ def test_a_client_that_is_slow_is_let_go(site: Site, monkeypatch: pytest.MonkeyP
     assert answer[:12] in (b"", b"HTTP/1.1 408")
     assert time.monotonic() - began < 5
     assert not site.commands()
+
+
+HEALTH = b"GET /health HTTP/1.1\r\nHost: x\r\n"
+
+
+@pytest.mark.parametrize("request_", [HEALTH + b"\r\n", HEALTH + b"Content-Length: 99\r\n\r\n"], ids=["lines", "body"])
+def test_what_is_no_request_keeps_no_connection_open(
+    site: Site, monkeypatch: pytest.MonkeyPatch, request_: bytes
+) -> None:
+    monkeypatch.setattr(feed, "IDLE_S", 0.5)
+    with socket.create_connection(("127.0.0.1", site.port)) as line:
+        line.settimeout(5)
+        line.sendall(request_)
+        assert line.recv(1 << 16).startswith(b"HTTP/1.1 200")
+        line.sendall(b"\r\n")
+        while line.recv(1 << 16):
+            pass
+
+
+def test_who_does_not_read_answers_is_let_go(
+    site: Site, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(feed, "WRITE_S", 0.5)
+    with socket.socket() as line:
+        line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        line.connect(("127.0.0.1", site.port))
+        line.settimeout(0.05)
+        end = time.monotonic() + 30
+        with suppress(ConnectionError):
+            while time.monotonic() < end:
+                with suppress(TimeoutError):
+                    line.sendall(b"GET /openapi.json HTTP/1.1\r\nHost: x\r\n\r\n")
+                time.sleep(0.002)
+        assert time.monotonic() < end
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_who_subscribes_and_does_not_read_is_let_go_and_holds_nobody_up(
