@@ -1,6 +1,7 @@
 """A reader gets a segment only if it is the very file that was committed; each file is read for that once."""
 
 import os
+import shutil
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -110,3 +111,10 @@ def test_threads_that_read_a_journal_as_a_segment_for_the_first_time_read_all_of
         for thread in threads:
             thread.join()
         assert found == [to_parquet(table)] * 8
+
+
+def test_what_lost_its_temporary_folder_is_written_into_a_new_one(tmp_path: Path) -> None:
+    (table, other) = (encode([made_up_run(f"lost-{number}", 20, seed=number)]) for number in range(2))
+    shutil.rmtree(materialized(table).parent)
+    for each in (table, other):
+        assert materialized(each).read_bytes() == to_parquet(each)

@@ -5,6 +5,7 @@ not yet part of the ledger. The rows of a journal are made directly from a few e
 """
 
 import atexit
+import os
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -219,7 +220,7 @@ _PARSE = pyarrow.json.ParseOptions(
     newlines_in_values=False,
 )
 _BLOCK_BYTES = 1 << 24
-_folders: list[str] = []  # at most one: this process's temporary folder for rows of journals
+_folders: list[str] = []  # this process's temporary folder for rows of journals, the last one
 _folder_lock = Lock()
 
 
@@ -291,10 +292,10 @@ def materialized(table: pa.Table) -> Path:
     """Write these rows as a segment into this process's temporary folder, and return its path."""
     data = segment.to_parquet(table)
     with _folder_lock:  # the file is renamed when complete, so that no reader sees half of it
-        if not _folders:
+        if not _folders or not os.path.isdir(_folders[-1]):  # systems remove temporary folders that are some days old
             _folders.append(tempfile.mkdtemp(prefix="fsar-ledger-"))
-            atexit.register(shutil.rmtree, _folders[0], ignore_errors=True)
-        path = Path(_folders[0]) / f"{sha256_hex(data)}.parquet"
+            atexit.register(shutil.rmtree, _folders[-1], ignore_errors=True)
+        path = Path(_folders[-1]) / f"{sha256_hex(data)}.parquet"
         if not path.exists():
             part = path.with_suffix(".part")
             part.write_bytes(data)
