@@ -43,7 +43,6 @@ DAY_US = 86_400_000_000
 KEYS = 1 << 16
 """How many of the last commands with a key are remembered with their decisions; an older one counts as new."""
 
-
 _Answer = TypeVar("_Answer")
 _EVENTS = GenericAlias(tuple, (Union[EVENT_TYPES], ...))  # noqa: UP007  the types are in a tuple
 _KNOWN: msgspec.msgpack.Decoder[Any] = msgspec.msgpack.Decoder(
@@ -261,9 +260,11 @@ class Federation:
             self._end()
 
     def _end(self) -> None:
-        self._writer.close()
-        if self._hold is not None:
-            self._hold.release()
+        try:
+            self._writer.close()
+        finally:
+            if self._hold is not None:
+                self._hold.release()
 
     def __enter__(self) -> "Federation":
         return self
@@ -350,7 +351,6 @@ class Federation:
 
     def _resume(self, view: View) -> None:
         record = record_of(view, self.run)
-        own = event_count(view.parts(self.run))
         started = record.events[0]
         if not isinstance(started, RunStarted) or started.source != SOURCE or started.epoch is None:
             raise UsageError(f"run {value(self.run)}: found a run that is not live, expected a new name or one that is")
@@ -362,7 +362,7 @@ class Federation:
         if live is None or not _is_same(made, record):
             difference = replay_run(record)
             raise UsageError(f"run {value(self.run)} cannot continue, since it would continue otherwise: {difference}")
-        self._live, self._before = live, len(record.events) - own
+        self._live, self._before = live, len(record.events) - event_count(view.parts(self.run))
         self._begin(started, record.times_us[self._before + 1] if self._before else 0)
         self._remember_from(record)
 

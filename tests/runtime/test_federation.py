@@ -171,6 +171,22 @@ def test_after_a_write_that_failed_nothing_is_decided_and_the_next_federation_go
     assert is_good(tmp_path / "ledger")
 
 
+def test_a_run_whose_ledger_could_not_be_closed_is_free_for_another_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    one = federate(tmp_path / "ledger")
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", refused)
+        with pytest.raises(WriteFailed, match="every commit is safe, but the disk refused the checkpoint"):
+            one.close()
+    lines = [sys.executable, "-m", "fsar_ledger", "federate", str(tmp_path / "ledger"), "day"]
+    other = subprocess.run(lines, input=b"", capture_output=True, check=False)
+    assert (other.returncode, other.stderr) == (0, b"")
+
+
 @pytest.mark.parametrize(
     "kills", [1, pytest.param(8, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.soak)]
 )
