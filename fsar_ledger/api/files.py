@@ -20,6 +20,7 @@ import pyarrow.parquet as pq
 from fsar_ledger.base.errors import UsageError, WriteFailed, option
 from fsar_ledger.base.memory import unfinished
 from fsar_ledger.base.progress import Progress, each
+from fsar_ledger.base.publishing import require_file, unfinished_name
 from fsar_ledger.exports import ExportedFile, documents, mcap, write_delta
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
@@ -189,10 +190,11 @@ def _fields(batch: pa.RecordBatch, *, raw: bool) -> pa.RecordBatch:
 @contextmanager
 def whole_file(out: Path) -> Iterator[Path]:
     """Yield a temporary name beside the file, which takes its place at the end. Raises: WriteFailed."""
-    temporary = out.with_name(f".{out.name}.{os.getpid()}.part")
+    temporary = unfinished_name(out)
     unfinished.add(temporary)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
+        require_file(out)
         yield temporary
         os.replace(temporary, out)
     except OSError as problem:

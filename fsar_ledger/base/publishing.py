@@ -1,6 +1,7 @@
 """Write a file atomically, and check before long work that it can be written."""
 
 import os
+import secrets
 from contextlib import suppress
 from pathlib import Path
 
@@ -12,7 +13,7 @@ ADVICE = "free space or choose another --out"
 def require_place(path: Path) -> None:
     """Check, before any work is done, that the file can be written. Raises: WriteFailed if that would surely fail."""
     try:
-        _require_file(path)
+        require_file(path)
         above = next(folder for folder in path.absolute().parents if folder.exists())
         if not above.is_dir():
             raise NotADirectoryError(f"{above} is a file; expected a folder")
@@ -37,10 +38,10 @@ def publish(path: Path, content: bytes, advice: str = ADVICE) -> None:
     Raises: WriteFailed, with the advice, if the disk refuses (the folder cannot be made, read-only, full) or the path
         is a folder.
     """
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial = unfinished_name(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _require_file(path)
+        require_file(path)
         with partial.open("wb") as file:
             file.write(content)
             file.flush()
@@ -53,9 +54,20 @@ def publish(path: Path, content: bytes, advice: str = ADVICE) -> None:
             partial.unlink()
 
 
-def _require_file(path: Path) -> None:
+def unfinished_name(path: Path) -> Path:
+    """Return an unused name beside this file: another thread, or another container, may write the same one."""
+    return path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
+
+
+def require_file(path: Path) -> None:
+    """Check that the path is free, or that of a file. Raises: OSError for a folder, or what a file would not replace.
+
+    Nobody who names a pipe or a device, such as /dev/null, wants a file in its place.
+    """
     if path.is_dir():
         raise IsADirectoryError("it is a folder; expected the name of a file")
+    if path.exists() and not path.is_file():
+        raise OSError("it is a pipe or a device; expected the name of a file")
 
 
 def _unwritten(path: Path, error: OSError, advice: str) -> WriteFailed:

@@ -1,6 +1,9 @@
 """A ledger from Python: names, times, events as objects and as tables, and what is refused."""
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Barrier
 
 import pyarrow.compute as pc
 import pytest
@@ -10,8 +13,17 @@ import fsar_ledger
 from fsar_ledger.analysis.causes import Element
 from fsar_ledger.api.answers import Screen
 from fsar_ledger.api.cause import CauseResult
+from fsar_ledger.api.files import whole_file
 from fsar_ledger.api.table import Table
-from fsar_ledger.base.errors import InvalidExperiment, LedgerCorrupted, QueryFailed, UnknownQuery, UsageError
+from fsar_ledger.base.errors import (
+    InvalidExperiment,
+    LedgerCorrupted,
+    QueryFailed,
+    UnknownQuery,
+    UsageError,
+    WriteFailed,
+)
+from fsar_ledger.base.publishing import publish
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.metrics import definitions
 from fsar_ledger.projections.fold import fold
@@ -215,3 +227,24 @@ def test_an_altered_copy_of_a_verified_ledger_is_not_opened_as_verified(ledger: 
     segment.write_bytes(data)
     with pytest.raises(LedgerCorrupted, match=segment.name):
         fsar_ledger.open_ledger(copy, verified=True)
+
+
+def test_threads_that_write_one_file_leave_it_whole(tmp_path: Path) -> None:
+    start = Barrier(2)
+
+    def write(content: str) -> None:
+        with whole_file(tmp_path / "rows.csv") as temporary:
+            temporary.write_text(content)
+            start.wait(5)
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(write, ("first", "second")))
+    assert [path.read_text() in ("first", "second") for path in tmp_path.iterdir()] == [True]
+
+
+@pytest.mark.parametrize("name", ["rows.csv", "why.svg"])
+def test_a_pipe_is_not_replaced_by_a_file(ledger: fsar_ledger.Ledger, tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(WriteFailed, match=r"it is a pipe or a device; expected the name of a file"):
+        ledger.export(tmp_path / name, query="denials") if name == "rows.csv" else publish(tmp_path / name, b"drawn")
+    assert [path.is_fifo() for path in tmp_path.iterdir()] == [True]
