@@ -37,7 +37,10 @@ from .adapter import BROKEN, Derived, Input, Record, json_object, json_text, no_
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_RECORD = 1 << 28
-"""Bytes of one record of the file; a length beyond it is damage."""
+"""Bytes of one record of the file; a length beyond it is damage. Of a chunk that unpacks to more, only these are read.
+
+A few kilobytes can unpack to more than any memory.
+"""
 MAX_KEPT = 1 << 24
 """Bytes that are hashed of a part of the file that cannot be read."""
 STATUSES = ("UNKNOWN", "ACCEPTED", "EXECUTING", "CANCELING", "SUCCEEDED", "CANCELED", "ABORTED")
@@ -239,15 +242,17 @@ def _unpacked(chunk: Chunk) -> tuple[bytes, str]:
     try:
         match chunk.compression:
             case "zstd":
-                data = zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data)
+                data = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(MAX_RECORD + 1)
             case "lz4":
-                data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data)
+                data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, MAX_RECORD + 1)
             case "":
                 data = chunk.data
             case other:
                 return b"", f"a chunk that is packed by {other}"
     except Exception as error:  # each library has its own
         return b"", f"a chunk that cannot be unpacked: {error!r}"
+    if len(data) > MAX_RECORD:
+        return data[:MAX_RECORD], f"a chunk that unpacks to more than {MAX_RECORD} bytes"
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         return data, "a chunk of which the CRC differs"
     return data, ""

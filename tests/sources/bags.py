@@ -58,7 +58,7 @@ def written(
     from mcap.writer import CompressionType, Writer
 
     out = BytesIO()
-    writer: Any = Writer(out, 300, CompressionType[compression], use_chunking=chunks)
+    writer: Any = Writer(out, chunk_size, CompressionType[compression], use_chunking=chunks)
     writer.start("ros2", "tests")
     channels: dict[str, int] = {}
     for at, (topic, schema, data) in enumerate(messages):

@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("mcap", reason="needs the extra mcap")
 
 from fsar_ledger.base.errors import UsageError
+from fsar_ledger.sources import mcap
 from fsar_ledger.sources.adapter import adapter_of, opened
 from fsar_ledger.sources.importing import Imported, import_files
 from tests.cli.conftest import Call
@@ -117,6 +118,21 @@ def test_flipped_bytes_are_never_a_traceback(tmp_path: Path) -> None:
         flipped = whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :]
         imported(folder, flipped)
         assert record_numbers(folder / "ledger")
+
+
+@pytest.mark.parametrize("compression", ["ZSTD", "LZ4"])
+def test_of_a_chunk_that_unpacks_to_more_than_memory_can_hold_only_the_beginning_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compression: str
+) -> None:
+    monkeypatch.setattr(mcap, "MAX_RECORD", 1 << 16)
+    messages = bags.honest_night()
+    bomb = bags.Said("/r1/scan", "sensor_msgs/msg/LaserScan", bytes(1 << 22))
+    whole = bags.written([*messages, bomb], compression=compression, chunk_size=1 << 23)
+    assert len(whole) < 1 << 16
+    imported(tmp_path, whole)
+    assert kinds(tmp_path / "ledger") == NIGHT
+    told = [row["texts"][0] for row in seen(tmp_path) if row["kind"] == "unreadable"]
+    assert told[-1] == "a chunk that unpacks to more than 65536 bytes"
 
 
 def test_a_damaged_chunk_does_not_hide_the_next(tmp_path: Path) -> None:
