@@ -14,7 +14,7 @@ from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.recovery import RecoveryAttempted, RecoveryBudgetSet, RecoveryEscalated
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestAdmitted, RequestCountered, RequestDenied
-from fsar_ledger.events.supervision import SupervisionDensitySet, SupervisorCalled
+from fsar_ledger.events.supervision import SupervisionDensitySet, SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.world import ActuatorDegraded
 from fsar_ledger.runtime.live import LiveRun, command_given, live_started
 from fsar_ledger.runtime.replay import replay
@@ -139,6 +139,27 @@ def test_density_puts_admissions_before_a_supervisor() -> None:
         }
     sets = [(one.robot, one.review_every, one.decided_by) for one in of(lived(reviewed), SupervisionDensitySet)]
     assert sets == [(None, 1, None), (PORTER, 0, None)]
+
+
+@pytest.mark.parametrize("asks", [{"policies": (Policy("door", "review"),)}, {"density": (Density(1, "door"),)}])
+def test_what_was_approved_is_not_put_before_a_supervisor_again_when_it_has_been_put_in_order(asks: Any) -> None:
+    """Two requests for one door, one of them time-critical: H_F reviews each, and then orders them."""
+    porter, door, _ = FLEET.robots
+    nurse = replace(porter, name="nurse", role="porter")
+    fleet = replace(FLEET, robots=(porter, nurse, door), **asks)
+    tasks = (Task("porter", ("porter door.open.secure door",)), Task("nurse", ("nurse door.open.secure door",)))
+    tasks = (tasks[0], replace(tasks[1], is_time_critical=True))
+    constants = Constants(WorldConstants(review_share=0.0), scenario=Scenario("night", tasks), fleet=fleet)
+    ordered = 0
+    for run in range(8):
+        approved = set[str | None]()
+        for one in simulate_run(RunSpec(7, "fsar", "full", "night", 3, run), constants).events:
+            if isinstance(one, SupervisorCalled):
+                ordered += one.purpose == "ordering" and one.subject.action_id in approved
+                assert one.purpose != "review" or one.subject.action_id not in approved
+            if isinstance(one, SupervisorResponded) and one.purpose == "review":
+                approved.add(one.subject.action_id)
+    assert ordered
 
 
 def test_a_level_of_recovery_spends_what_the_file_gives_it() -> None:

@@ -15,9 +15,10 @@ from fsar_ledger.events.envelope import OverrideLevel, PolicyOutcome, Robot, Tru
 from fsar_ledger.projections.authority import Authority, Later, later_than, rank, right_of
 from fsar_ledger.projections.execution import INTERRUPTING, Action, Execution, in_hand
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.policy import ruled
+from fsar_ledger.projections.policy import ruled, standing
 from fsar_ledger.projections.registry import Registry, advertisement, possesses
 from fsar_ledger.projections.request import Request
+from fsar_ledger.projections.supervision import density
 from fsar_ledger.projections.trust import covers, scope_of
 from fsar_ledger.projections.world import stricter
 
@@ -80,6 +81,22 @@ def evaluate(state: State, request: Request, executor: Robot, is_reviewed: bool 
         return Evaluation("review", None, trust, True, False, level)
     is_free = is_idle(state.execution, executor) or preemptible(state.execution, executor, level) is not None
     return Evaluation("accept" if is_free else "defer", None, trust, True, True, level)
+
+
+def was_reviewed(state: State, request: Request, executor: Robot) -> bool:
+    """Return whether the review for which a declared rule or the supervision density asks was approved.
+
+    What a window alone asks for is asked again as long as it is open.
+    """
+    if request.action_id not in state.supervision.approved:
+        return False
+    about = (request.capability, request.task_id)
+    rules = (
+        standing(state.policy, "local", request.requester, *about),
+        standing(state.policy, "local", executor, *about),
+        standing(state.policy, "fleet", executor, *about),
+    )
+    return "review" in rules or density(state.supervision, executor) > 0
 
 
 def asker(request: Request) -> Robot:

@@ -32,7 +32,7 @@ from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import is_asked
 from fsar_ledger.projections.task import Tasks
 from fsar_ledger.projections.world import stricter
-from fsar_ledger.runtime.handlers.admissibility import Evaluation, evaluate, is_revoked, preemptible
+from fsar_ledger.runtime.handlers.admissibility import Evaluation, evaluate, is_revoked, preemptible, was_reviewed
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.commands import (
     ActionCommand,
@@ -122,7 +122,9 @@ def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...
         or is_asked(state.supervision, request.action_id, "review")
     ):
         return ()
-    return _judged(state, request, evaluate(state, request, request.candidates[0]), command.now_us)
+    executor = request.candidates[0]
+    is_reviewed = was_reviewed(state, request, executor)  # before H_F has put it in order
+    return _judged(state, request, evaluate(state, request, executor, is_reviewed), command.now_us, is_reviewed)
 
 
 @HANDLERS.decide_on(open_request, AdmitReviewed, asked_robot)
