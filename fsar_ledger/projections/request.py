@@ -307,11 +307,15 @@ def _issued(state: Requests, event: RequestIssued) -> Requests:
 
 
 def _end_request(state: Requests, event: ExecutionFinished | RequestClosed | RequestDenied) -> Requests:
-    """End the request or set its result; the success of a step is only known when the step ends."""
-    request = state.open.get(event.subject.action_id or "")
+    """End the request or set its result; the success of a step is only known when the step ends.
+
+    An outsider's request, which is no step, has its task's name, by which a coordinator denies it, and ends when it
+    has been executed.
+    """
+    request = state.open.get(event.subject.action_id or event.subject.task_id or "")
     if request is None:
         return state
-    if isinstance(event, ExecutionFinished):
+    if isinstance(event, ExecutionFinished) and (request.step > 0 or request.is_adhoc):
         if not (request.is_adhoc or event.result != "success"):
             return state
         return _changed(state, request.action_id, result=event.result)

@@ -11,10 +11,11 @@ from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR
 from fsar_ledger.events.policy import RolePolicyRuleSet
 from fsar_ledger.events.trust import InitialTrustSet
+from fsar_ledger.events.world import OutsiderRequestInjected
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.architectures.fsar.reports import JudgeRequest, ReportPresence, ReportWindow
-from fsar_ledger.runtime.simulation import RunSpec, kernel
+from fsar_ledger.runtime.simulation import RunSpec, kernel, simulate_run
 from fsar_ledger.view.spans import spans_of
 from tests.analysis.conftest import OUTAGES, simulated
 from tests.runtime.test_live import OPENING, A, B, Play, at_the_door
@@ -66,6 +67,18 @@ def test_a_request_stands_with_the_robot_to_which_it_has_gone_or_that_has_it() -
     assert [(one.action_id, one.target, one.phase) for one in now(play).requests or ()] == [(OPENING, B, "asked")]
     play.does(ReportPresence(robot=B, is_on=False), JudgeRequest(robot=B, action_id=OPENING, accepts=True))
     assert [(one.target, one.phase) for one in now(play).requests or ()] == [(B, "received")]
+
+
+@pytest.mark.parametrize("architecture", ["fsar", "cfc", "dhma", "jade", "alliance", "roboos"])
+def test_an_outsiders_request_is_open_until_it_was_denied_or_executed(architecture: str) -> None:
+    record = simulate_run(RunSpec(7, architecture, "full", "mixed-trust-inspection", 4, 0), Constants())
+    timeline, types = Timeline(record), [type(event) for event in record.events]
+    first, last = (
+        [one.action_id for one in situation(timeline.past(seq), {}, None).requests or ()]
+        for seq in (types.index(OutsiderRequestInjected), len(types) - 1)
+    )
+    assert any(name.startswith("injected-1-") for name in first)
+    assert last == []
 
 
 def test_an_own_step_is_no_request_to_somebody_unknown() -> None:
