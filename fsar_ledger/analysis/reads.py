@@ -43,6 +43,8 @@ class Step(NamedTuple):
 
 Path = tuple[Step, ...]
 """The way to a value; the first step is to a slot of the state."""
+ReadValues = dict[Path, object]
+"""What was read: each path, in order, with its value."""
 
 
 class Reads:
@@ -251,3 +253,60 @@ def last_writes(events: Sequence[Event], asked: Iterable[tuple[Path, int]]) -> d
         for slot, previous in slots:
             root.watch_path((Step("field", slot),)).look(previous, getattr(state, slot), seq)
     return {(path, seq): root.watch_path(path).before(seq) for path, seq in queries}
+
+
+class Read(msgspec.Struct, frozen=True):
+    """What a decision read at one place of the state, and which event wrote it.
+
+    Attributes:
+        place: Where: a slot of the state, and the fields and keys that lead on, as `world.local` or
+            `request[A1-1/2.1]`.
+        name: What of it: a field, the value under a `[key]`, `has KEY` (or member), `any`, all `keys` (or members), or
+            the `size`; for a key of several parts, `*` stands for all.
+        value: What was found there, as JSON types; None if `is_absent`.
+        is_absent: Whether nothing was found.
+        written_by: The seq of the event that last wrote it; None if it is unchanged since before the first event.
+        elements: Of a list, a set or keys, the seqs of the events since which each element is there.
+    """
+
+    place: str
+    name: str
+    value: Any
+    is_absent: bool
+    written_by: int | None
+    elements: tuple[int, ...]
+
+
+def described(values: ReadValues, seq: int, writers: Mapping[tuple[Path, int], LastWrite]) -> Iterator[Read]:
+    """Yield what was read just before the event with this seq, each with the event that last wrote it."""
+    for path, value in values.items():
+        path_text, name = _words(path)
+        write = writers[path, seq]
+        ordered = sorted(value) if isinstance(value, frozenset) else value
+        plain = None if ordered is ABSENT else msgspec.to_builtins(ordered, str_keys=True, enc_hook=str)
+        yield Read(path_text, name, plain, value is ABSENT, write.by, write.elements)
+
+
+def _words(path: Path) -> tuple[str, str]:
+    """Return the place that the path leads to, and what is read of it."""
+    text = path[0].name
+    for step in path[1:-1]:
+        text += f".{step.name}" if step.kind == "field" else f"[{_key(step.name)}]"
+    if len(path) == 1:
+        return text, "whole"
+    kind, name = path[-1]
+    match kind:
+        case "field":
+            return text, name
+        case "key":
+            return text, f"[{_key(name)}]"
+        case "has":
+            return text, f"has {_key(name)}"
+        case _:
+            return text, kind
+
+
+def _key(key: object) -> str:
+    """Return the key as text; a key of several parts has `*` for None, which stands for all."""
+    parts = key if isinstance(key, tuple) else (key,)
+    return ", ".join("*" if part is None else str(part) or '""' for part in parts)

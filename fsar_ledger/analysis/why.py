@@ -26,10 +26,7 @@ from fsar_ledger.runtime.recipes import CannotReplay, Recipe, recipe_of, started
 from fsar_ledger.runtime.run_replay import function_name
 from fsar_ledger.runtime.simulation import founding_of, handler_table_of
 
-from .reads import ABSENT, LastWrite, Path, Reads, last_writes
-
-ReadValues = dict[Path, object]
-"""What was read: each path, in order, with its value."""
+from .reads import LastWrite, Path, Read, Reads, ReadValues, described, last_writes
 
 
 class Reaction(NamedTuple):
@@ -171,28 +168,6 @@ DEPTH = 2
 Origin = Literal["founding", "world", "command", "decision"]
 
 
-class Read(msgspec.Struct, frozen=True):
-    """What a decision read at one place of the state, and which event wrote it.
-
-    Attributes:
-        place: Where: a slot of the state, and the fields and keys that lead on, as `world.local` or
-            `request[A1-1/2.1]`.
-        name: What of it: a field, the value under a `[key]`, `has KEY` (or member), `any`, all `keys` (or members), or
-            the `size`; for a key of several parts, `*` stands for all.
-        value: What was found there, as JSON types; None if `is_absent`.
-        is_absent: Whether nothing was found.
-        written_by: The seq of the event that last wrote it; None if it is unchanged since before the first event.
-        elements: Of a list, a set or keys, the seqs of the events since which each element is there.
-    """
-
-    place: str
-    name: str
-    value: Any
-    is_absent: bool
-    written_by: int | None
-    elements: tuple[int, ...]
-
-
 class PortAnswer(msgspec.Struct, frozen=True):
     """A question that was asked at a port, and the answer, both as `whatif --change 'answer ...'` takes them."""
 
@@ -326,7 +301,7 @@ def _trigger(record: LedgerRun, first: int) -> int:
 def _decided(
     record: LedgerRun, seq: int, count: int, decision: Decision, writers: Mapping[tuple[Path, int], LastWrite]
 ) -> DecisionTrace:
-    reads = tuple(_reads(decision.reads, seq, writers))
+    reads = tuple(described(decision.reads, seq, writers))
     command = type(decision.command).__name__
     if decision.reaction is None:
         return DecisionTrace(
@@ -343,7 +318,7 @@ def _decided(
         scheduled_by=decision.reaction.handler,
         answers=tuple(_named_answers(decision.reaction.answers)),
         waited_for=decision.waited_for,
-        scheduled_reads=tuple(_reads(decision.reaction.reads, cause + 1, writers)),
+        scheduled_reads=tuple(described(decision.reaction.reads, cause + 1, writers)),
         reads=reads,
     )
 
@@ -362,38 +337,3 @@ def _named_answers(answers: Iterable[tuple[Ask, int]]) -> Iterator[PortAnswer]:
         name = name_of(ask)
         if name is not None:
             yield PortAnswer(ask.port, name, Question(name, answer).text)
-
-
-def _reads(values: ReadValues, seq: int, writers: Mapping[tuple[Path, int], LastWrite]) -> Iterator[Read]:
-    """Yield what was read just before the event with this seq."""
-    for path, value in values.items():
-        path_text, name = _words(path)
-        write = writers[path, seq]
-        ordered = sorted(value) if isinstance(value, frozenset) else value
-        plain = None if ordered is ABSENT else msgspec.to_builtins(ordered, str_keys=True, enc_hook=str)
-        yield Read(path_text, name, plain, value is ABSENT, write.by, write.elements)
-
-
-def _words(path: Path) -> tuple[str, str]:
-    """Return the place that the path leads to, and what is read of it."""
-    text = path[0].name
-    for step in path[1:-1]:
-        text += f".{step.name}" if step.kind == "field" else f"[{_key(step.name)}]"
-    if len(path) == 1:
-        return text, "whole"
-    kind, name = path[-1]
-    match kind:
-        case "field":
-            return text, name
-        case "key":
-            return text, f"[{_key(name)}]"
-        case "has":
-            return text, f"has {_key(name)}"
-        case _:
-            return text, kind
-
-
-def _key(key: object) -> str:
-    """Return the key as text; a key of several parts has `*` for None, which stands for all."""
-    parts = key if isinstance(key, tuple) else (key,)
-    return ", ".join("*" if part is None else str(part) or '""' for part in parts)

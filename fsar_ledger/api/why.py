@@ -15,7 +15,8 @@ from .verbs import WIDE, argument, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.analysis import Line
-    from fsar_ledger.analysis.why import DecisionTrace, Read
+    from fsar_ledger.analysis.reads import Read
+    from fsar_ledger.analysis.why import DecisionTrace
     from fsar_ledger.ledger.rows.codec import LedgerRun
     from fsar_ledger.metrics.provenance import Provenance
 

@@ -8,7 +8,8 @@ import msgspec
 import pytest
 
 from fsar_ledger.analysis.fork_base import base_of_record, rerun
-from fsar_ledger.analysis.why import DecisionTrace, Read, decisions, first_of, reasons
+from fsar_ledger.analysis.reads import Read
+from fsar_ledger.analysis.why import DecisionTrace, decisions, first_of, reasons
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs.constants import Constants, Outages
 from fsar_ledger.events import Event

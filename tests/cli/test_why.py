@@ -10,7 +10,8 @@ import pytest
 
 from fsar_ledger import Ledger
 from fsar_ledger.analysis import Line
-from fsar_ledger.analysis.why import DecisionTrace, Read, decisions, first_of, reasons
+from fsar_ledger.analysis.reads import Read
+from fsar_ledger.analysis.why import DecisionTrace, decisions, first_of, reasons
 from fsar_ledger.api.why import Tree, Why, why_of
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events.envelope import Robot, Supervisor
