@@ -113,7 +113,7 @@ def export(
     if tiles:
         if query is not None or parameters or raw:
             raise UsageError("export: found tiles and a query, parameters or raw text, expected tiles alone")
-        from fsar_ledger.exports import write_tiles
+        from fsar_ledger.exports.rows import write_tiles
 
         from .lookup import present
 

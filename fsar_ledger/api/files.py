@@ -21,7 +21,8 @@ from fsar_ledger.base.errors import UsageError, WriteFailed, option
 from fsar_ledger.base.memory import unfinished
 from fsar_ledger.base.progress import Progress, each
 from fsar_ledger.base.publishing import require_file, unfinished_name
-from fsar_ledger.exports import ExportedFile, documents, mcap, write_delta
+from fsar_ledger.exports import ExportedFile, documents
+from fsar_ledger.exports.rows import write_delta, write_mcap
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store.locations import chain_of, event_count, record_of, whole_of, whole_runs, wholes_of
@@ -264,7 +265,7 @@ def _write_export(view: "View", file: Path, format: str, run: str | None, progre
         return write_delta(file, view)
     with whole_file(file) as temporary:
         if format == "mcap":
-            return mcap.write(temporary, view, _tables(view, run, progress))
+            return write_mcap(temporary, view, _tables(view, run, progress))
         runs = _runs(view, progress) if run is None else [record_of(view, run)]
         if format == "otlp":
             return documents.write_otlp(temporary, runs)
