@@ -22,7 +22,7 @@ from fsar_ledger.base.publishing import publish, require_another, require_place
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.definitions import metrics, published_metrics
 from fsar_ledger.metrics.effects import Sensitivity
-from fsar_ledger.metrics.study_results import Calibration, packaged, read
+from fsar_ledger.metrics.study_results import Calibration, Comparison, packaged, read
 from fsar_ledger.metrics.verified import ensure_verified
 from fsar_ledger.report import printing, records, specs
 from fsar_ledger.report.audit import AuditDocument, gather_audit, kind_of
@@ -113,7 +113,7 @@ def _relations(
     return {
         **findings.relations,
         **records.fit_relations(findings, record),
-        **records.predictions(records.judged(findings)),
+        **records.predictions(records.packaged_for(findings, Comparison)),
         **measured,
         **{f"paper_{name}": _listed(specs.paper_table(name)) for name in PAPER_TABLES},
         **{name: _listed(specs.rows(name)) for name in ("reasons", "mechanisms", "structural")},
@@ -223,7 +223,7 @@ def write_report(
         return
     heads = {other: _compared(other, workers, showing) for other in (*filter(None, [workflows]), *beside)}
     findings = gather(ledger, demanded, heads, workflows=workflows, reads_every_way=True, showing=showing)
-    effects = given or records.packaged_effects(findings)
+    effects = given or records.packaged_for(findings, Sensitivity)
     document = Document(findings, packaged(Calibration), effects, robustness(findings))
     _publish(document, out, numbers_out)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from importlib.resources.abc import Traversable
+from typing import TypeVar
 
 import msgspec
 import pyarrow as pa
@@ -24,11 +25,12 @@ from fsar_ledger.metrics.robustness import (
     SystemNumber,
     Systems,
 )
-from fsar_ledger.metrics.study_results import Calibration, Comparison, changed, packaged
+from fsar_ledger.metrics.study_results import Calibration, Comparison, GroundedResult, changed, packaged
 from fsar_ledger.report.findings import Findings, arrow
 from fsar_ledger.report.printing import flat, words
 
 MAX_NAMED = 5  # differing constants that a message names
+_Grounded = TypeVar("_Grounded", bound=GroundedResult)
 
 
 class DeclaredDial(msgspec.Struct, frozen=True):
@@ -59,13 +61,12 @@ def robustness(findings: Findings, folder: Traversable | None = None) -> dict[st
 
     Results of another model than these runs' are left out, and, except for the ranking, those of other constants.
     """
-    prior, around, control = packaged(Ranking, folder), packaged(Ensemble, folder), packaged(Placebo, folder)
-    systems = packaged(Systems, folder)
+    prior = packaged(Ranking, folder)
     return robustness_relations(
         prior if prior is not None and prior.model_version == findings.model_version else None,
-        around if around is not None and _is_of_these_runs(around, findings) else None,
-        control if control is not None and _is_of_these_runs(control, findings) else None,
-        systems if systems is not None and _is_of_these_runs(systems, findings) else None,
+        packaged_for(findings, Ensemble, folder),
+        packaged_for(findings, Placebo, folder),
+        packaged_for(findings, Systems, folder),
     )
 
 
@@ -113,19 +114,15 @@ def _declared(dial: str) -> int:
 
 
 # See docs/decisions/fit-is-registered-first.md.
-def judged(findings: Findings, folder: Traversable | None = None) -> Comparison | None:
-    """Return the result in this folder (default: the packaged one); None if absent, or of another model or constants.
+def packaged_for(findings: Findings, kind: type[_Grounded], folder: Traversable | None = None) -> _Grounded | None:
+    """Return the result of this kind in this package or folder; None if absent, or of another model or constants.
 
     Raises: FsarLedgerError if the file is not such a result.
     """
-    if (comparison := packaged(Comparison, folder)) is None:
+    record = packaged(kind, folder)
+    if record is None or record.model_version != findings.model_version:
         return None
-    return comparison if _is_of_these_runs(comparison, findings) else None
-
-
-def _is_of_these_runs(record: Comparison | Ensemble | Placebo | Systems, findings: Findings) -> bool:
-    constants_of = dict(flat("", read_parameters(record.parameters)))
-    return (record.model_version, constants_of) == (findings.model_version, findings.parameters)
+    return record if dict(flat("", read_parameters(record.parameters))) == findings.parameters else None
 
 
 def fit_changed(findings: Findings, record: Calibration | None) -> str | None:
@@ -217,12 +214,6 @@ def effects_of(findings: Findings, given: Sensitivity | None) -> tuple[dict[str,
     found_rows = [{**row, "position": position} for position, row in enumerate(dozen(given))]
     relations = {"effects": pa.Table.from_pylist(found_rows)} if found_rows else {}
     return relations | {"study": pa.Table.from_pylist([study]), "effects_changed": later}, None
-
-
-def packaged_effects(findings: Findings) -> Sensitivity | None:
-    """Return the effects in this package; None if they are of another model or other constants than these runs."""
-    effects = packaged(Sensitivity)
-    return effects if effects_of(findings, effects)[1] is None else None
 
 
 def _not_these(why: str) -> str:

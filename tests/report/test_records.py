@@ -10,6 +10,7 @@ import pytest
 
 from fsar_ledger.base.errors import FsarLedgerError, UsageError
 from fsar_ledger.metrics import study_results as bound
+from fsar_ledger.metrics.effects import Sensitivity
 from fsar_ledger.metrics.library import Library, library, plain_sql
 from fsar_ledger.metrics.study_results import (
     CLAIMS,
@@ -159,14 +160,14 @@ def test_the_report_says_which_registered_predictions_hold_and_which_fail(findin
 
 
 def test_predictions_are_those_of_the_runs_model_and_constants_or_none(findings: Findings, tmp_path: Path) -> None:
-    assert laid_out.judged(findings, tmp_path) is None, "no record"
+    assert laid_out.packaged_for(findings, Comparison, tmp_path) is None, "no record"
     write(tmp_path, True, False)
-    assert len(known(laid_out.judged(findings, tmp_path)).predictions) == 2
-    assert laid_out.judged(msgspec.structs.replace(findings, model_version="2"), tmp_path) is None
-    assert laid_out.judged(msgspec.structs.replace(findings, parameters={}), tmp_path) is None
+    assert len(known(laid_out.packaged_for(findings, Comparison, tmp_path)).predictions) == 2
+    assert laid_out.packaged_for(msgspec.structs.replace(findings, model_version="2"), Comparison, tmp_path) is None
+    assert laid_out.packaged_for(msgspec.structs.replace(findings, parameters={}), Comparison, tmp_path) is None
     (tmp_path / "comparison.json").write_text("{}")
     with pytest.raises(FsarLedgerError, match=r"comparison\.json: .*; write it again"):
-        laid_out.judged(findings, tmp_path)
+        laid_out.packaged_for(findings, Comparison, tmp_path)
     assert "predictions" not in names(Document(findings), "table")
 
 
@@ -182,7 +183,7 @@ def test_the_sentence_counts_and_names_what_holds_and_what_does_not(
     tmp_path: Path, findings: Findings, holds: tuple[bool | None, ...], words: str
 ) -> None:
     write(tmp_path, *holds)
-    document = Document(replaced(made(), **laid_out.predictions(laid_out.judged(findings, tmp_path))))
+    document = Document(replaced(made(), **laid_out.predictions(laid_out.packaged_for(findings, Comparison, tmp_path))))
     assert f"Of {len(holds)} predictions registered before they were run, {words}" in said(document)
     assert ("1 cannot be decided: p1" in said(document)) == (None in holds)
 
@@ -257,9 +258,9 @@ def test_runs_under_constants_of_their_own_are_not_those_of_the_fit(findings: Fi
 
 
 def test_effects_that_nobody_gave_are_left_out_of_a_report_of_other_runs(findings: Findings) -> None:
-    assert laid_out.packaged_effects(of_the_record(findings)) is not None
+    assert laid_out.packaged_for(of_the_record(findings), Sensitivity) is not None
     for other in (made(), findings):
-        assert laid_out.packaged_effects(other) is None
+        assert laid_out.packaged_for(other, Sensitivity) is None
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"seeds": "x"}', '{"parameters": [{"name": 1}]}'])
