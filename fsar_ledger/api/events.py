@@ -29,8 +29,8 @@ from fsar_ledger.metrics.provenance import Provenance, of_rows
 from fsar_ledger.metrics.verified import is_verified
 
 from .log import ALL
-from .lookup import resolve_run, resting_on_rows, robot_of, run_time
-from .names import Run, Time, microseconds, separated
+from .lookup import resting_on_rows, robot_of, run_time
+from .names import Time, microseconds, separated
 from .table import Table
 
 if TYPE_CHECKING:
@@ -194,8 +194,7 @@ class LogRequest(NamedTuple):
 
 def asked_of(
     database: Database,
-    ledger: Path,
-    run: Run,
+    run: str,
     since: Time,
     until: Time,
     robot: str | None,
@@ -203,14 +202,14 @@ def asked_of(
     *,
     is_growing: bool = False,
 ) -> LogRequest:
-    """Return the request with names in full; the run `all` selects every run.
+    """Return the request with names in full, as that of the run is given; the run `all` selects every run.
 
     Raises:
-        UsageError: There is no such run, robot or concern, or no such time in these runs. If the ledger is growing, any
-            time is accepted.
+        UsageError: There is no such robot or concern, or no such time in these runs. If the ledger is growing, any time
+            is accepted.
     """
     concerns = concerns_of(about)
-    name = None if run == ALL else resolve_run(database, run, ledger)
+    name = None if run == ALL else run
     since, until = (run_time(database, option(side), time, name) for side, time in (("since", since), ("until", until)))
     since_us, until_us = span(since, until)
     if since_us is not None and not is_growing:

@@ -233,9 +233,9 @@ def _account(about: "AboutRun", ledger: Path, request: str | None, failure: str 
     return Account(run, action, parties, timeline, recovery, ground_seqs, failure is not None, provenance)
 
 
-def run_with(database: "Database", ledger: Path, action: str) -> str:
+def run_with(ledger: "Ledger", database: "Database", action: str) -> str:
     """Return the only run that has the action. Raises: UsageError if there is none, or several."""
-    from .lookup import no_run, numbers_of, resting_on_rows
+    from .lookup import no_run, resting_on_rows
 
     sql = """
         SELECT run_id FROM run_numbers
@@ -244,7 +244,7 @@ def run_with(database: "Database", ledger: Path, action: str) -> str:
     """
     matches = [str(row["run_id"]) for row in database.rows(sql, {"action": action})]
     if len(matches) > 1:
-        numbers = numbers_of(database)
+        numbers = ledger.numbers()
         listed = printable.list_few(printable.value(str(numbers.get(run, run))) for run in matches)
         raise UsageError(
             f"{printable.value(action)}: found this action in {len(matches):,} runs, expected the run, too; give "
@@ -254,9 +254,9 @@ def run_with(database: "Database", ledger: Path, action: str) -> str:
         return matches[0]
     runs = [row["run_id"] for row in database.rows("SELECT run_id FROM run_numbers")]
     only = str(runs[0]) if len(runs) == 1 else None
-    number = numbers_of(database).get(only) if only else None
+    number = ledger.numbers().get(only) if only else None
     with resting_on_rows(database.rows_verified):
-        raise UsageError(_no_action(database, ledger, only, action, number) if runs else no_run(ledger))
+        raise UsageError(_no_action(database, ledger.path, only, action, number) if runs else no_run(ledger.path))
 
 
 def _rows(database: "Database", query: str, run: str, action: str) -> Rows:

@@ -323,13 +323,12 @@ def hand_over(ledger: "Ledger", *, run: Run | None = RUN) -> dict[str, Any]:
         UsageError: There is no such run, it is not that of a robot alone, or the ledger is the log of a federation.
     """
     from fsar_ledger.ledger.opening import open_ledger
-    from fsar_ledger.ledger.store.locations import whole_of
     from fsar_ledger.runtime.isolation import handed_over, require_single
 
-    from .lookup import present, resolve_run_in
+    from .lookup import present, resolve_run
 
     require_single(open_ledger(ledger.path))
     view, _ = present(ledger)
     names = view.run_names.runs
-    name = resolve_run_in(view, run, ledger.demanded) if run is not None or not names else names[-1]
-    return handed_over(view, whole_of(view, name))
+    is_given = run is not None or not names
+    return handed_over(view, resolve_run(view, run, ledger.demanded, is_whole=True) if is_given else names[-1])

@@ -25,13 +25,13 @@ from fsar_ledger.exports import ExportedFile, documents
 from fsar_ledger.exports.rows import write_delta, write_mcap
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
-from fsar_ledger.ledger.store.locations import chain_of, event_count, record_of, whole_of, whole_runs, wholes_of
+from fsar_ledger.ledger.store.locations import chain_of, event_count, record_of, whole_runs, wholes_of
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.provenance import Provenance
 from fsar_ledger.metrics.sandbox import SENT_BYTES, slices
 from fsar_ledger.metrics.verified import is_verified
 
-from .lookup import present, resolve_run_in
+from .lookup import present, resolve_run
 from .names import Run
 from .table import Table
 from .texts import csv_header, csv_lines, harmless, in_turn, json_lines, json_texts
@@ -241,7 +241,7 @@ def write_as(
             "runs, too; expected one of them: leave the run out, and select it in the table"
         )
     view, provenance = present(ledger)
-    name = None if run is None else whole_of(view, resolve_run_in(view, run, ledger.demanded))
+    name = None if run is None else resolve_run(view, run, ledger.demanded, is_whole=True)
     if format == "perfetto":
         name = name or _only_run(view)
         trace(ledger, file, name)

@@ -31,7 +31,7 @@ from . import verify as _verify
 from . import view as _view
 from . import whatif as _whatif
 from . import why as _why
-from .lookup import AboutRun, about_run, numbers_of, parameters_of, recorded, resolve_run, robot_of, run_time, time_of
+from .lookup import AboutRun, about_run, parameters_of, recorded, resolve_run, robot_of, run_time, time_of
 from .names import Place, Run, Time
 from .verbs import readers_of
 
@@ -102,16 +102,13 @@ class Ledger:
         Raises:
             UsageError: There is no such run or robot, `since` is after the last event, or `until` not after `since`.
         """
-        from fsar_ledger.ledger.store.locations import whole_of
-
         from .events import Events, Filter, span
 
         name = None
         if any(given is not None for given in (run, since, until, robot)):
+            if run is not None:
+                name = resolve_run(open_for_answers(self.path), run, self.demanded, is_whole=True)
             with self.database() as database:
-                if run is not None:
-                    view = open_for_answers(self.path)
-                    name = resolve_run(database, whole_of(view, run) if run in view.run_names.runs else run, self.path)
                 since, until = (
                     run_time(database, side, time, name) for side, time in (("since", since), ("until", until))
                 )
@@ -147,8 +144,8 @@ class Ledger:
         from .explain import run_with
 
         with self.database() as database:
-            name = run_with(database, self.path, action)
-            yield AboutRun(database, name, numbers_of(database).get(name))
+            name = run_with(self, database, action)
+            yield AboutRun(database, name, self.numbers().get(name))
 
     # --- queries ---
 
@@ -176,7 +173,7 @@ class Ledger:
                 parameters = {**parameters, parameter: full}
             else:
                 database = stack.enter_context(self.database())
-            values = parameters_of(database, query, parameters, self.path)
+            values = parameters_of(database, query, parameters)
             rows = database.query(name, values)
             return Table(rows, of_rows(database, query, full if chosen else None))
 

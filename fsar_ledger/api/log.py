@@ -123,10 +123,10 @@ def log(
 
     if run == ALL:
         with ledger.database() as database:
-            return timeline(database, asked_of(database, ledger.path, ALL, since, until, robot, about))
+            return timeline(database, asked_of(database, ALL, since, until, robot, about))
     with ledger.about_run(run) as (database, name, _):
         since = _beginning(database) if run is not None and since is None and until is None else since
-        return timeline(database, asked_of(database, ledger.path, name, since, until, robot, about))
+        return timeline(database, asked_of(database, name, since, until, robot, about))
 
 
 def _beginning(database: "Database") -> Time:
@@ -161,7 +161,7 @@ def stream_log(
             "without that demand, or no wait for more"
         )
     with ledger.database() as database:
-        request = asked_of(database, ledger.path, ALL, since, until, robot, about, is_growing=pause is not None)
+        request = asked_of(database, ALL, since, until, robot, about, is_growing=pause is not None)
         provenance = about_of(database, request)
     return stream(ledger.path, request, provenance, ledger.demanded, pause)
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from fsar_ledger.base import printable, utc
 from fsar_ledger.base.errors import UsageError, option
-from fsar_ledger.metrics.sql_values import FIXED, PRINCIPALS, RUNS, TIME, names_on_record, require_known
+from fsar_ledger.ledger.store.locations import whole_of
+from fsar_ledger.metrics.sql_values import FIXED, PRINCIPALS, TIME, names_on_record, require_known
 from fsar_ledger.metrics.verified import is_verified_for_runs, require_runs
 
 from .names import MAX_DIGITS, Time, known_name, microseconds, principal_named, run_named
@@ -26,14 +27,6 @@ if TYPE_CHECKING:
     from .ledger import Ledger
     from .names import Place, Run
 
-_RUN = "SELECT run_id FROM run_numbers WHERE run_id = $run"
-_NUMBERS = """
-    SELECT run_id, number FROM run_numbers
-    WHERE number::VARCHAR NOT IN (
-        SELECT run_id FROM run_numbers UNION ALL SELECT run_id FROM experiment_planned
-    )
-"""
-_PLANS = "SELECT run_id FROM experiment_planned ORDER BY run_id"
 _EXTENT = "SELECT max(time_us) AS time_us, max(seq) AS seq FROM events WHERE $run IS NULL OR run_id = $run"
 _WORDS = {"record": "kind of record", "case": "case number"}
 _CLOCK = re.compile(r"\d{4}-\d\d-\d\d.*")
@@ -66,39 +59,23 @@ class AboutRun(NamedTuple):
     number: int | None
 
 
-def resolve_run(database: "Database", asked: object, ledger: Path | None = None) -> str:
-    """Return the full name of a run that is given by name, number or unique part.
-
-    An error says how to list the runs of `ledger`, if it is given.
+def resolve_run(view: "View", asked: object, demanded: str | None, *, is_whole: bool = False) -> str:
+    """Return the full name of a run that is given by name, number or unique part; `is_whole`: of the last of its chain.
 
     Raises:
         UsageError: No run, or several, match, or it is neither text nor a whole number.
-    """
-    if isinstance(asked, str) and database.rows(_RUN, {"run": asked}):
-        return asked
-    runs, plans = ([str(row["run_id"]) for row in database.rows(sql)] for sql in (RUNS, _PLANS))
-    with resting_on_rows(database.rows_verified):
-        return run_named(asked, runs, plans) if ledger is None else run_named(asked, runs, plans, _way(ledger))
-
-
-def _way(ledger: Path) -> str:
-    return f"`fsar-ledger query runs {printable.word(ledger)}` lists them"
-
-
-def resolve_run_in(view: "View", asked: object, demanded: str | None) -> str:
-    """Return the full name of a run that is given by name, number or unique part.
-
-    Raises: As `resolve_run` and `is_verified`.
+        SequenceConflict, LedgerCorrupted: As `is_verified_for_runs`, and `require_runs`.
     """
     with resting_on_rows(is_verified_for_runs(view, demanded)):
         if isinstance(asked, str) and view.has_run(asked):
-            return asked
-        names = view.run_names
+            return whole_of(view, asked) if is_whole else asked
+        names, way = view.run_names, f"`fsar-ledger query runs {printable.word(view.path)}` lists them"
         try:
-            return run_named(asked, names.runs, names.plans, _way(view.path))
+            run = run_named(asked, names.runs, names.plans, way)
         except UsageError:
             require_runs(view)
             raise
+        return whole_of(view, run) if is_whole else run
 
 
 def no_run(ledger: Path) -> str:
@@ -118,9 +95,7 @@ def resolve_or_first(view: "View", asked: object, demanded: str | None) -> str:
             require_runs(view)
             raise UsageError(no_run(view.path))
         if asked is not None:
-            return resolve_run_in(view, asked, demanded)
-        from fsar_ledger.ledger.store.locations import whole_of
-
+            return resolve_run(view, asked, demanded)
         return whole_of(view, view.run_names.runs[0])
 
 
@@ -132,7 +107,6 @@ def about_run(view: "View", asked: object, demanded: str | None, *, is_whole: bo
         UsageError: As `resolve_or_first`.
         LedgerCorrupted, SequenceConflict: As `connect_run`.
     """
-    from fsar_ledger.ledger.store.locations import whole_of
     from fsar_ledger.metrics.database import connect_run
 
     run = resolve_or_first(view, asked, demanded)
@@ -140,11 +114,6 @@ def about_run(view: "View", asked: object, demanded: str | None, *, is_whole: bo
     with connect_run(view, run, demanded) as database:
         number = view.ordinal_of(run)
         yield AboutRun(database, run, number if number and not view.has_run(f"{number}") else None)
-
-
-def numbers_of(database: "Database") -> dict[str, int]:
-    """Return the number of each run, for `resolve_run`, unless it is itself the name of a run or a plan."""
-    return {row["run_id"]: row["number"] for row in database.rows(_NUMBERS)}
 
 
 def robot_of(database: "Database", asked: str, run: str | None) -> str:
@@ -200,8 +169,10 @@ def time_of(database: "Database", what: str, asked: Time, run: str | None) -> in
     return time_us
 
 
-def parameters_of(database: "Database", query: "Query", given: Mapping[str, object], ledger: Path) -> dict[str, str]:
+def parameters_of(database: "Database", query: "Query", given: Mapping[str, object]) -> dict[str, str]:
     """Return the SQL values of these parameters of a query, each interpreted by its kind; None: its default.
+
+    A run is given by its full name.
 
     Raises:
         UnknownQuery: The query has no parameter of a name.
@@ -218,7 +189,7 @@ def parameters_of(database: "Database", query: "Query", given: Mapping[str, obje
         if text is None or text == parameter.default:
             continue
         if parameter.kind == "run":
-            values[parameter.sql_name] = run = resolve_run(database, given[parameter.name], ledger)
+            values[parameter.sql_name] = run = text
         else:
             values[parameter.sql_name] = _value(database, parameter, text, run)
     return values
@@ -266,10 +237,9 @@ def recorded(ledger: "Ledger", view: "View", run: "Run", *, is_whole: bool = Fal
 
     Raises: UsageError if there is no such run.
     """
-    from fsar_ledger.ledger.store.locations import record_of, whole_of
+    from fsar_ledger.ledger.store.locations import record_of
 
-    name = resolve_run_in(view, run, ledger.demanded)
-    return record_of(view, whole_of(view, name) if is_whole else name)
+    return record_of(view, resolve_run(view, run, ledger.demanded, is_whole=is_whole))
 
 
 def ledgers_of(ledger: "Ledger", other: "Ledger | Place | None") -> "list[Ledger]":

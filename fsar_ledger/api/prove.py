@@ -139,7 +139,7 @@ def asked_event(view: "View", event: str, demanded: str | None) -> tuple[str | N
     """
     from fsar_ledger.metrics.verified import is_verified
 
-    from .lookup import resolve_run_in
+    from .lookup import resolve_run
 
     run, _, seq = event.rpartition(":")
     if not (seq.isascii() and seq.isdecimal()) or event.startswith(":"):
@@ -148,7 +148,7 @@ def asked_event(view: "View", event: str, demanded: str | None) -> tuple[str | N
             "event's place in the ledger"
         )
     is_verified(view, demanded)
-    return resolve_run_in(view, run, demanded) if run else None, seq
+    return resolve_run(view, run, demanded) if run else None, seq
 
 
 def found_event(view: "View", run: str | None, seq: str, demanded: str | None) -> tuple[str, int]:

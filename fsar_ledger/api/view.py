@@ -180,7 +180,7 @@ def _page_options(ledger: "Ledger", requested: Run | None) -> "tuple[PageOptions
 
     ledger_view, _ = present(ledger)
     with about_run(ledger_view, requested, ledger.demanded, is_whole=True) as (database, name, number):
-        lines = timeline(database, asked_of(database, ledger.path, name, None, None, None, None))
+        lines = timeline(database, asked_of(database, name, None, None, None, None))
     run = record_of(ledger_view, name)
     started = start_of(run)
     provenance = lines.provenance

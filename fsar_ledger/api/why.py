@@ -103,9 +103,7 @@ def _explain_or_list(
         "KIND", "Instead of an event: list violation, conflict, late, unattributed, or an invariant, such as i4."
     ),
 ) -> Answer:
-    from fsar_ledger.ledger.store.locations import whole_of
-
-    from .lookup import present
+    from .lookup import present, resolve_run
     from .table import Listing
 
     if (event is None) == (verdict is None):
@@ -116,7 +114,7 @@ def _explain_or_list(
         return why(ledger, event, depth=depth)
     if run is None:
         raise UsageError(f"--verdict {verdict}: expected the run, too; give --run RUN")
-    name = whole_of(present(ledger)[0], ledger.record(run).run_id)
+    name = resolve_run(present(ledger)[0], run, ledger.demanded, is_whole=True)
 
     def hint(screen: Screen, first: Row) -> str:
         arguments = f"{printable.word(screen.path)} {screen.event_word(name, first['seq'])}"

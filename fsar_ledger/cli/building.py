@@ -106,7 +106,7 @@ def _callback(verb: Verb) -> Callable[..., None]:
 
         beside = {name: given.pop(name) for name in taken}
         memory_mib = beside.get("memory", given.get("memory_mib"))
-        judges = _processes(beside.get("cluster"))
+        judges, shared = _shared(beside.get("cluster"))
         for name, option in options.items():
             if option.metavar == "NAME=VALUE" and option.flag == "--param":
                 given[name] = parameters_of(given[name])
@@ -120,7 +120,7 @@ def _callback(verb: Verb) -> Callable[..., None]:
         # A process that judges takes as much memory as two that verify.
         workers = given.get("workers") or (2 + 2 * judges if judges else None)
         limit = partial(bounded, memory_mib, *paths, workers=workers, memory_factor=verb.memory_factor)
-        with _shared(beside.get("cluster")), limit() if is_bounded else nullcontext():
+        with shared, limit() if is_bounded else nullcontext():
             verified = beside.get("verified", False)
             code = respond(verb, given, ledgers, form, switches, drawn, verified=verified, clock=context.obj)
         if code:
@@ -143,22 +143,16 @@ def _callback(verb: Verb) -> Callable[..., None]:
     return call
 
 
-def _shared(address: str | None) -> AbstractContextManager[None]:
-    """Return the context in which a cluster does the work; a null context if none is named."""
+def _shared(address: str | None) -> tuple[int, AbstractContextManager[None]]:
+    """Return how many processes of this machine the cluster at this address has, and the context in which it works.
+
+    They are 0 and a null context if none is named.
+    """
     if address is None:
-        return nullcontext()
-    from fsar_ledger.base.workers import cluster
+        return 0, nullcontext()
+    from fsar_ledger.base.workers import cluster, local_processes
 
-    return cluster(address)
-
-
-def _processes(address: str | None) -> int:
-    """Return how many processes of this machine the cluster at this address has; 0 if none is named."""
-    if address is None:
-        return 0
-    from fsar_ledger.base.workers import local_processes
-
-    return local_processes(address) or 0
+    return local_processes(address) or 0, cluster(address)
 
 
 def _accepted(name: str, kind: Any, default: object, option: Option) -> inspect.Parameter:
@@ -328,11 +322,15 @@ def _values(line: Line, one: "Parameter") -> Sequence[str]:
 def _on_record(line: Line, kind: str, run: str | None) -> list[str]:
     """Return the names of this kind in the ledger that the line names, of one run or of all. Raises: As `connect`."""
     from fsar_ledger.api.lookup import resolve_run
-    from fsar_ledger.metrics.database import connect
+    from fsar_ledger.ledger.opening import open_for_answers
+    from fsar_ledger.metrics.database import connect_view
     from fsar_ledger.metrics.sql_values import names_on_record
 
-    with connect(Path(str(line.given.get("ledger") or ""))) as database:
-        return names_on_record(database, kind, None if run in (None, "all") else resolve_run(database, run))
+    view = open_for_answers(Path(str(line.given.get("ledger") or "")))
+    with connect_view(view) as database:
+        return names_on_record(
+            database, kind, None if run in (None, "all") else resolve_run(view, run, None, is_whole=True)
+        )
 
 
 LEAST_MIB = 256

@@ -164,7 +164,6 @@ def values(query: str, parameters: Mapping[str, Parameter], given: Mapping[str, 
     return {name: str(value) for name, value in filled.items()}
 
 
-RUNS = "SELECT run_id FROM run_numbers ORDER BY number"
 PRINCIPALS = ("robot", "supervisor")
 FIXED = ("record", "claim", "case", "period")
 """Kinds whose names are the same whatever a ledger holds."""
@@ -207,7 +206,7 @@ A known name may have no row in an answer; any other is a typing error.
 def names_on_record(database: "Database", kind: str, run: str | None) -> list[str]:
     """Return the names that a parameter of this kind can have in this run, or in any, in order."""
     if kind == "run":
-        return [str(row["run_id"]) for row in database.rows(RUNS)]
+        return [str(row["run_id"]) for row in database.rows("SELECT run_id FROM run_numbers ORDER BY number")]
     sql = f"SELECT DISTINCT name FROM ({ON_RECORD[kind]}) WHERE name IS NOT NULL ORDER BY name"
     names = [str(row["name"]) for row in database.rows(sql, {"run": run} if "$run" in sql else None)]
     return [name for name in names if name.startswith(f"{kind}/")] if kind in PRINCIPALS else names

@@ -2,6 +2,7 @@
 
 import re
 from decimal import Decimal
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,18 +10,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import fsar_ledger
-from fsar_ledger.api.lookup import numbers_of, resolve_run
+from fsar_ledger.api.lookup import resolve_run
 from fsar_ledger.api.names import MAX_SECONDS, known_name, microseconds, principal_named, run_named
 from fsar_ledger.base.errors import InvalidQuery, UnknownQuery, UsageError
 from fsar_ledger.base.printable import ranges
 from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.store.derived import RunNames
 from fsar_ledger.metrics.library import library, parse
 from fsar_ledger.metrics.sql_values import KINDS, Parameter, names_on_record
+from fsar_ledger.runtime.federation import ORIGIN as LIVE
 from tests.api.conftest import RUN
 from tests.queries.histories import act, run
 from tests.queries.test_every_query import HEADER
 from tests.quick import few
 from tests.recycled import from_rows
+from tests.runtime.test_cut_digests import day_with_a_cut
 
 NAMES = ("fsar.door.r0000-12ab", "cfc.door.r0000-34cd", "fsar.door.r0001-7", "7")
 TYPING_ERRORS = {
@@ -143,14 +147,27 @@ def test_numbers_of_runs_are_their_places_in_the_ledger(ledger: fsar_ledger.Ledg
 def test_each_number_that_is_told_names_its_run(ledger: fsar_ledger.Ledger) -> None:
     numbers = ledger.numbers()
     assert set(numbers) == {row["run_id"] for row in ledger.runs()}
-    with ledger.database() as database:
-        assert all(resolve_run(database, str(number)) == name for name, number in numbers.items())
+    view = open_for_answers(ledger.path)
+    assert all(resolve_run(view, str(number), None) == name for name, number in numbers.items())
+
+
+def test_the_events_of_a_number_are_those_of_its_run_where_another_was_cut(tmp_path: Path) -> None:
+    ledger = fsar_ledger.Ledger(day_with_a_cut(tmp_path / "ledger").ledger)
+    fsar_ledger.simulate(ledger.path, architecture="fsar", scenario="door-relay", runs=1, origin=LIVE)
+    day, simulated = "hall", ledger.runs().rows()[-1]["run_id"]
+    names = ledger.numbers()
+    assert names == {day: 1, f"{day}.2": 2, simulated: 3}
+    assert [{one.run for one in ledger.events(number)} for number in names.values()] == [
+        {f"{day}.2"},
+        {f"{day}.2"},
+        {simulated},
+    ]
 
 
 def test_a_number_that_is_itself_the_name_of_another_run_is_not_told() -> None:
-    with from_rows([*run(run_id="2"), *run(run_id="x")]) as database:
-        assert numbers_of(database) == {"2": 1}
-        assert resolve_run(database, "2") == "2"
+    names = RunNames(("2", "x"))
+    assert names.numbers() == {"2": 1}
+    assert run_named("2", names.runs) == "2"
 
 
 @pytest.mark.slow

@@ -3,7 +3,6 @@
 import re
 import shlex
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -271,7 +270,7 @@ def test_the_example_of_each_question_runs_and_says_what_it_answers(real: Databa
     given = dict(re.findall(r"--param (\w+)=(\S+)", " ".join(options)))
     assert len(options) == 2 * len(given)
     shown = {key: "all" if value == "RUN" else value for key, value in given.items()}
-    real.query(name, parameters_of(real, library().find(name), shown, Path("LEDGER")))
+    real.query(name, parameters_of(real, library().find(name), shown))
 
 
 @pytest.mark.parametrize(
