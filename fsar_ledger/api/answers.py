@@ -224,6 +224,12 @@ def head_json(head: "Head") -> dict[str, object]:
     return {"size": head.size, "root": head.root}
 
 
+def provenance_json(provenance: "Provenance") -> dict[str, object]:
+    """Return the fields of a JSON document that say what an answer rests on, its head first."""
+    verified = {} if provenance.rows_verified is None else {"rows_verified": provenance.rows_verified}
+    return {"head": provenance.head and head_json(provenance.head), **verified, **provenance.answer()}
+
+
 _STANDING = ("provenance", "provenances")
 
 

@@ -11,7 +11,7 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import counted
 from fsar_ledger.metrics.comparison_sides import LeftOut, Paired, Side, SideRow, chosen, paired, sides
 
-from .answers import Answer, Screen, head_json
+from .answers import Answer, Screen, provenance_json
 from .names import by_scenario, pools_seeds
 from .verbs import ROWS, ByOption, FirstOption, OtherArgument, PoolOption, SecondOption, verb
 
@@ -44,16 +44,9 @@ class Comparison(Answer, Paired, frozen=True, kw_only=True):
     def document(self, _: Screen) -> Mapping[str, object]:
         """Return both sides, how their runs pair, and the rows."""
         first, second = ({"name": side.name, **structs.asdict(side)} for side in self.sides)
-        further = [
-            {
-                "head": provenance.head and head_json(provenance.head),
-                "rows_verified": provenance.rows_verified,
-                **provenance.answer(),
-            }
-            for provenance in self.provenances[1:]
-        ]
+        other = self.provenances[1:]
         return {
-            "other": further[0] if further else None,
+            "other": provenance_json(other[0]) if other else None,
             "first": first,
             "second": second,
             "pairs": self.pairs,

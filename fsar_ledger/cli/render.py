@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from fsar_ledger.api.answers import Answer, Lines, Screen, head_json, provenances
+from fsar_ledger.api.answers import Answer, Lines, Screen, provenance_json, provenances
 from fsar_ledger.api.verbs import Gives, Shows, Verb, declared
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError
@@ -100,8 +100,7 @@ def answer_json(about: "Provenance | None", answer: Mapping[str, object]) -> Saf
     from fsar_ledger.api.texts import json_bytes
 
     if about is not None:
-        verified = {} if about.rows_verified is None else {"rows_verified": about.rows_verified}
-        answer = {"head": about.head and head_json(about.head), **verified, **about.answer(), **answer}
+        answer = {**provenance_json(about), **answer}
     text = msgspec.json.format(json_bytes(msgspec.to_builtins(answer)), indent=2).decode()
     return printable.ascii_json(f"{text}\n")
 
