@@ -10,10 +10,11 @@ import msgspec
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.base.printable import SafeText, counted
+from fsar_ledger.metrics.comparison_sides import Side, chosen, sides
 
 from .answers import Answer, Screen
 from .compare import LEFT_OUT, no_partner
-from .diff import Diff, diff_text
+from .diff import Diff, diff_text, difference_of
 from .names import Names, names_of
 from .verbs import ArchitectureOption, FirstOption, OtherArgument, SecondOption, declare, verb
 from .whatif import refusals, without_effect
@@ -21,7 +22,6 @@ from .whatif import refusals, without_effect
 if TYPE_CHECKING:
     from fsar_ledger.analysis.causes import Outcome
     from fsar_ledger.analysis.whatif import RefusedChange
-    from fsar_ledger.metrics.comparison_sides import Side
     from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.provenance import Provenance
 
@@ -143,10 +143,7 @@ def bisect(
 def _sides(ledgers: "Sequence[Ledger]", names: tuple[str | None, str | None], outcome: str) -> BisectResult:
     """Compare two sides of one ledger, or of two, by an outcome."""
     from fsar_ledger.analysis.causes import outcome_of
-    from fsar_ledger.metrics.comparison_sides import chosen, sides
     from fsar_ledger.metrics.provenance import of_outcomes
-
-    from .diff import difference_of
 
     condition = outcome_of(outcome)
     with ExitStack() as stack:
@@ -175,7 +172,7 @@ def _sides(ledgers: "Sequence[Ledger]", names: tuple[str | None, str | None], ou
     return _bisected(condition, (str(both[0]), str(both[1])), outcomes, diff, provenances, repeated, alone)
 
 
-def _unpaired(both: "tuple[Side, Side]", repeated: int) -> UsageError:
+def _unpaired(both: tuple[Side, Side], repeated: int) -> UsageError:
     """Return an error that says why no run of one side is the counterpart of one of the other."""
     if repeated:
         return UsageError(
@@ -201,8 +198,6 @@ def _changes(
     from fsar_ledger.ledger.opening import open_for_answers
     from fsar_ledger.metrics.database import connect_view
     from fsar_ledger.metrics.provenance import of_outcomes
-
-    from .diff import difference_of
 
     view = open_for_answers(ledger.path)
     with connect_view(view, demanded=ledger.demanded) as database:
@@ -265,7 +260,7 @@ def _bisected(
     )
 
 
-def _runs(database: "Database", side: "Side") -> dict[World, list[str]]:
+def _runs(database: "Database", side: Side) -> dict[World, list[str]]:
     """Return the runs of a side that can be paired, by seed, scenario and number, in the order of the ledger."""
     runs: dict[World, list[str]] = {}
     for row in database.rows(PAIRS, {"side": side.side}):

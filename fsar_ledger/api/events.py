@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import duckdb
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -34,7 +35,6 @@ from .names import Time, microseconds, separated
 from .table import Table
 
 if TYPE_CHECKING:
-    import duckdb
     import polars as pl
 
 _ENVELOPE = {field.name for field in ENVELOPE}
@@ -172,10 +172,8 @@ class Events:
         """Return `table` as a polars data frame."""
         return self.table().polars()
 
-    def duckdb(self) -> "duckdb.DuckDBPyRelation":
+    def duckdb(self) -> duckdb.DuckDBPyRelation:
         """Return `table` as a DuckDB relation in a private, in-memory database."""
-        import duckdb
-
         return duckdb.connect(":memory:").from_arrow(self.arrow())
 
 

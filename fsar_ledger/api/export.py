@@ -9,7 +9,7 @@ import msgspec
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import QueryFailed, UsageError, WriteFailed, option
-from fsar_ledger.base.progress import Progress
+from fsar_ledger.base.progress import Progress, each
 
 from .answers import Answer, Screen
 from .names import Place, Run
@@ -194,7 +194,6 @@ def _fill(database: "Database", ledger: Path, file: Path, progress: Progress | N
     """Create every relation and macro, and the tables that describe the file."""
     import pyarrow as pa
 
-    from fsar_ledger.base.progress import each
     from fsar_ledger.metrics.provenance import Provenance
 
     queries = sorted(database.library.queries.values(), key=lambda query: bool(query.parameters))

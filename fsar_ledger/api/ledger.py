@@ -5,10 +5,14 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pyarrow as pa
+
 from fsar_ledger.base.errors import checked
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.ledger.opening import open_checked, open_for_answers
-from fsar_ledger.metrics.verified import ensure_verified, is_remembered
+from fsar_ledger.metrics.library import library
+from fsar_ledger.metrics.own_sql import group_of, listed, text_of
+from fsar_ledger.metrics.verified import ensure_verified, is_remembered, is_verified_for_runs
 
 from . import audit as _audit
 from . import bisect as _bisect
@@ -119,8 +123,6 @@ class Ledger:
 
     def numbers(self) -> dict[str, int]:
         """Return the number of each run, by its name: the short name that every question takes for it."""
-        from fsar_ledger.metrics.verified import is_verified_for_runs
-
         view = open_for_answers(self.path)
         is_verified_for_runs(view, self.demanded)
         return view.run_names.numbers()
@@ -141,10 +143,8 @@ class Ledger:
             with about_run(open_for_answers(self.path), run, self.demanded, is_whole=is_whole) as about:
                 yield about
             return
-        from .explain import run_with
-
         with self.database() as database:
-            name = run_with(self, database, action)
+            name = _explain.run_with(self, database, action)
             yield AboutRun(database, name, self.numbers().get(name))
 
     # --- queries ---
@@ -157,7 +157,6 @@ class Ledger:
             UnknownQuery: There is no query or parameter of this name.
             UsageError: A parameter names nothing in the ledger, or is not a time of the run.
         """
-        from fsar_ledger.metrics.library import library
         from fsar_ledger.metrics.provenance import of_rows
 
         from .table import Table
@@ -186,10 +185,6 @@ class Ledger:
         Args:
             all: Also the view of each event type and of each concern.
         """
-        import pyarrow as pa
-
-        from fsar_ledger.metrics.own_sql import group_of, listed
-
         from .table import Table
 
         queries = listed(events=all)
@@ -211,8 +206,6 @@ class Ledger:
         Raises:
             UnknownQuery: There is no query of this name.
         """
-        from fsar_ledger.metrics.own_sql import text_of
-
         return text_of(name)
 
     sql = _query.sql

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from fsar_ledger.base import printable, utc
 from fsar_ledger.base.errors import UsageError, option
-from fsar_ledger.ledger.store.locations import whole_of
+from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.store.locations import record_of, whole_of
 from fsar_ledger.metrics.sql_values import FIXED, PRINCIPALS, TIME, names_on_record, require_known
-from fsar_ledger.metrics.verified import is_verified_for_runs, require_runs
+from fsar_ledger.metrics.verified import is_verified, is_verified_for_runs, require_runs
 
 from .names import MAX_DIGITS, Time, known_name, microseconds, principal_named, run_named
 
@@ -224,9 +225,7 @@ def _seq(database: "Database", text: str, run: str | None) -> str:
 
 def present(ledger: "Ledger") -> "tuple[View, Provenance]":
     """Return the ledger at its present head, and the provenance of an answer about it. Raises: As `open_ledger`."""
-    from fsar_ledger.ledger.opening import open_for_answers
     from fsar_ledger.metrics.provenance import Provenance
-    from fsar_ledger.metrics.verified import is_verified
 
     view = open_for_answers(ledger.path)
     return view, Provenance(view.head, is_verified(view, ledger.demanded))
@@ -237,8 +236,6 @@ def recorded(ledger: "Ledger", view: "View", run: "Run", *, is_whole: bool = Fal
 
     Raises: UsageError if there is no such run.
     """
-    from fsar_ledger.ledger.store.locations import record_of
-
     return record_of(view, resolve_run(view, run, ledger.demanded, is_whole=is_whole))
 
 

@@ -9,6 +9,7 @@ import msgspec
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.base.printable import SafeText, counted
+from fsar_ledger.base.progress import Showing, unseen
 
 from .answers import Answer, Lines, Screen
 from .names import KindOfReport, Names, Place, names_of
@@ -16,7 +17,6 @@ from .simulate import CONTINUES
 from .verbs import AdoptOption, Gives, KeyOption, Option, WorkersOption, declare, readers_of, verb, workers_of
 
 if TYPE_CHECKING:
-    from fsar_ledger.base.progress import Showing
     from fsar_ledger.base.workers import WorkerPool
     from fsar_ledger.ledger.log.note import Signer
     from fsar_ledger.runtime.experiment import SimulationResult
@@ -76,7 +76,6 @@ def report(
         LedgerCorrupted: The comparison found something.
         WriteFailed: The PDF cannot be written.
     """
-    from fsar_ledger.base.progress import unseen
     from fsar_ledger.report.build import write_report
 
     def path(place: Place | None) -> Path | None:
@@ -161,7 +160,6 @@ def reproduce(
         UsageError: The folder is a ledger, or lies inside one.
         InvalidExperiment: An experiment is unknown, or the number of runs impossible.
     """
-    from fsar_ledger.base.progress import unseen
     from fsar_ledger.base.workers import WorkerPool
     from fsar_ledger.designs.registered import known_names
     from fsar_ledger.ledger.store.paths import require_outside
@@ -212,7 +210,7 @@ def _carried_out(
     experiment: "PaperLedger",
     workers: "WorkerPool",
     signer: "Signer | None",
-    showing: "Showing",
+    showing: Showing,
     *,
     adopts: bool,
 ) -> "SimulationResult":

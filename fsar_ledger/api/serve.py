@@ -16,6 +16,7 @@ from fsar_ledger.base.printable import SafeText
 
 from .answers import Answer, Plain, Screen, interrupted_by_sigterm
 from .federate import CONTINUES, CUT, FLEET, ISOLATED, OF, ROBOTS, SETTINGS, federate
+from .key import witness_ask
 from .names import Names, Place, names_of
 from .verbs import Gives, KeyOption, Option, OriginOption, argument, declare, switch, verb
 
@@ -89,7 +90,6 @@ class ServedFederation(Answer):
         from fsar_ledger.ledger.store.paths import beside
 
         from .files import write_bytes
-        from .key import witness_ask
         from .ledger import open_ledger
 
         file = beside(self._out, ".cosigned")

@@ -12,7 +12,7 @@ from fsar_ledger.base.printable import SafeText, counted
 from fsar_ledger.base.progress import Progress
 
 from .answers import Answer, Screen, head_json
-from .diff import Diff, diff_text
+from .diff import Diff, diff_text, difference_of
 from .names import Names, Place, Run, names_of
 from .verbs import WIDE, AnswersOption, ArchitectureOption, Option, Shows, declare, switch, verb
 
@@ -231,8 +231,6 @@ def without_effect(view: "View", runs: Sequence[str], changes: "Changes") -> Usa
 def _of_one(pair: "Pair", texts: tuple[str, ...], provenance: "Provenance", path: Path | None) -> WhatIf:
     """Return what the changes do in one run. Raises: UsageError if its fork cannot be stored."""
     from fsar_ledger.analysis import whatif as forks
-
-    from .diff import difference_of
 
     if path is not None and pair.base.recipe.live is not None:
         raise UsageError(

@@ -19,6 +19,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from fsar_ledger import __version__
 from fsar_ledger.api.verbs import NOTHING_CHANGED, VERBS, Verb, help_in
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import FsarLedgerError, UsageError, named_as_options
@@ -179,8 +180,6 @@ app = typer.Typer(
 @app.callback(invoke_without_command=True)
 def _version(version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False) -> None:
     if version:
-        from fsar_ledger import __version__
-
         show(printable.line(f"fsar-ledger {__version__}"))
         raise typer.Exit(0)
 

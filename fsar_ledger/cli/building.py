@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
+from shutil import rmtree
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args
 
 import typer
@@ -367,8 +368,6 @@ def bounded(
     )
 
     def end() -> None:
-        from shutil import rmtree
-
         say(memory.exceeded_message())
         for child in memory.children():
             with suppress(OSError):
