@@ -12,68 +12,41 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fsar_ledger.api.audit import Audit
-    from fsar_ledger.api.events import Events, LoggedEvent
-    from fsar_ledger.api.explain import Account
-    from fsar_ledger.api.federate import federate
-    from fsar_ledger.api.key import key_new, key_public, witness_new
-    from fsar_ledger.api.ledger import Ledger, open_ledger
-    from fsar_ledger.api.prove import verify_proof
-    from fsar_ledger.api.record import import_records, record, shards
-    from fsar_ledger.api.report import Reproduced, reproduce
-    from fsar_ledger.api.serve import principal_new
-    from fsar_ledger.api.simulate import Simulated, simulate
-    from fsar_ledger.api.table import Table
-    from fsar_ledger.api.verify import Verification
-    from fsar_ledger.base import errors
-    from fsar_ledger.base.errors import FsarLedgerError
-    from fsar_ledger.base.workers import cluster
-    from fsar_ledger.service.client import Client
-    from fsar_ledger.studies.calibration import calibrate
-    from fsar_ledger.studies.comparison import judge
-    from fsar_ledger.studies.placebo import placebo
-    from fsar_ledger.studies.predictions import predict
-    from fsar_ledger.studies.robustness import ensemble, ranking
-    from fsar_ledger.studies.sensitivity import sensitivity
-    from fsar_ledger.studies.systems import systems
+    from fsar_ledger.api.audit import Audit as Audit
+    from fsar_ledger.api.events import Events as Events
+    from fsar_ledger.api.events import LoggedEvent as LoggedEvent
+    from fsar_ledger.api.explain import Account as Account
+    from fsar_ledger.api.federate import federate as federate
+    from fsar_ledger.api.key import key_new as key_new
+    from fsar_ledger.api.key import key_public as key_public
+    from fsar_ledger.api.key import witness_new as witness_new
+    from fsar_ledger.api.ledger import Ledger as Ledger
+    from fsar_ledger.api.ledger import open_ledger as open_ledger
+    from fsar_ledger.api.prove import verify_proof as verify_proof
+    from fsar_ledger.api.record import import_records as import_records
+    from fsar_ledger.api.record import record as record
+    from fsar_ledger.api.record import shards as shards
+    from fsar_ledger.api.report import Reproduced as Reproduced
+    from fsar_ledger.api.report import reproduce as reproduce
+    from fsar_ledger.api.serve import principal_new as principal_new
+    from fsar_ledger.api.simulate import Simulated as Simulated
+    from fsar_ledger.api.simulate import simulate as simulate
+    from fsar_ledger.api.table import Table as Table
+    from fsar_ledger.api.verify import Verification as Verification
+    from fsar_ledger.base import errors as errors
+    from fsar_ledger.base.errors import FsarLedgerError as FsarLedgerError
+    from fsar_ledger.base.workers import cluster as cluster
+    from fsar_ledger.service.client import Client as Client
+    from fsar_ledger.studies.calibration import calibrate as calibrate
+    from fsar_ledger.studies.comparison import judge as judge
+    from fsar_ledger.studies.placebo import placebo as placebo
+    from fsar_ledger.studies.predictions import predict as predict
+    from fsar_ledger.studies.robustness import ensemble as ensemble
+    from fsar_ledger.studies.robustness import ranking as ranking
+    from fsar_ledger.studies.sensitivity import sensitivity as sensitivity
+    from fsar_ledger.studies.systems import systems as systems
 
 __version__ = "0.19.0"
-
-__all__ = [
-    "Account",
-    "Audit",
-    "Client",
-    "Events",
-    "FsarLedgerError",
-    "Ledger",
-    "LoggedEvent",
-    "Reproduced",
-    "Simulated",
-    "Table",
-    "Verification",
-    "calibrate",
-    "cluster",
-    "ensemble",
-    "errors",
-    "federate",
-    "import_records",
-    "judge",
-    "key_new",
-    "key_public",
-    "open_ledger",
-    "placebo",
-    "predict",
-    "principal_new",
-    "ranking",
-    "record",
-    "reproduce",
-    "sensitivity",
-    "shards",
-    "simulate",
-    "systems",
-    "verify_proof",
-    "witness_new",
-]
 
 _HOMES = {
     "api.audit": ("Audit",),
@@ -101,6 +74,8 @@ _HOMES = {
     "studies.systems": ("systems",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = sorted([*_HOME_OF, "errors"])
 
 
 def __getattr__(name: str) -> Any:
