@@ -104,6 +104,11 @@ class Screen:
         number = self._number(run)
         return printable.word(f"{run if number is None else number}:{seq}")
 
+    def proof_hint(self, run: str, seq: int, what: str = "") -> str:
+        """Return a hint with the command that proves an event; `what` describes the event."""
+        call = f"fsar-ledger prove {printable.word(self.path)} {self.event_word(run, seq)}"
+        return f"`{call}` proves event {seq}{what} to others"
+
     def width_of_names(self, longest: int, beside: int) -> int:
         """Return the width of the name column in a line of a name, words and `beside` other columns.
 

@@ -103,14 +103,9 @@ class Account(Answer, msgspec.Struct, frozen=True):
         """Yield the timeline, the parties, the recovery, and how to prove what decided."""
         steps, parties = printable_rows([] if self.is_failure else self.timeline), printable_rows([self.parties])[0]
         lines = account_lines(screen, (self.run, self.action), steps, parties, printable_rows(self.recovery))
-        hints = [self._proof(screen, self.decisive_seq)]
-        hints += [self._proof(screen, seq, " (the window or rule)") for seq in self.grounds]
+        hints = [screen.proof_hint(self.run, self.decisive_seq)]
+        hints += [screen.proof_hint(self.run, seq, " (the window or rule)") for seq in self.grounds]
         yield printable.lines(*lines, "", *hints)
-
-    def _proof(self, screen: Screen, seq: int, what: str = "") -> str:
-        """Return a hint with the command that proves an event; `what` describes the event."""
-        event = screen.event_word(self.run, seq)
-        return f"`fsar-ledger prove {printable.word(screen.path)} {event}` proves event {seq}{what} to others"
 
 
 def _explain_or_list(ledger: "Ledger", run: Run | None, request: str | None, failure: str | None) -> Answer:

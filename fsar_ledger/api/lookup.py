@@ -12,10 +12,10 @@ from fsar_ledger.base import printable, utc
 from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.store.locations import record_of, whole_of
-from fsar_ledger.metrics.sql_values import FIXED, PRINCIPALS, TIME, names_on_record, require_known
+from fsar_ledger.metrics.sql_values import FIXED, PRINCIPALS, TIME, Parameter, names_on_record, require_known
 from fsar_ledger.metrics.verified import is_verified, is_verified_for_runs, require_runs
 
-from .names import MAX_DIGITS, Time, known_name, microseconds, principal_named, run_named
+from .names import MAX_DIGITS, Place, Run, Time, known_name, microseconds, principal_named, run_named
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.rows.codec import LedgerRun
@@ -23,10 +23,8 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.library import Query
     from fsar_ledger.metrics.provenance import Provenance
-    from fsar_ledger.metrics.sql_values import Parameter
 
     from .ledger import Ledger
-    from .names import Place, Run
 
 _EXTENT = "SELECT max(time_us) AS time_us, max(seq) AS seq FROM events WHERE $run IS NULL OR run_id = $run"
 _WORDS = {"record": "kind of record", "case": "case number"}
@@ -202,7 +200,7 @@ def _name_on_record(database: "Database", kind: str, name: str, run: str | None)
         return principal_named(what, name, names) if kind in PRINCIPALS else known_name(what, name, names)
 
 
-def _value(database: "Database", parameter: "Parameter", text: str, run: str | None) -> str:
+def _value(database: "Database", parameter: Parameter, text: str, run: str | None) -> str:
     """Return the SQL value of this text of a parameter. Raises: UsageError."""
     if parameter.kind == TIME:
         return str(time_of(database, parameter.name, text, run))
@@ -231,7 +229,7 @@ def present(ledger: "Ledger") -> "tuple[View, Provenance]":
     return view, Provenance(view.head, is_verified(view, ledger.demanded))
 
 
-def recorded(ledger: "Ledger", view: "View", run: "Run", *, is_whole: bool = False) -> "LedgerRun":
+def recorded(ledger: "Ledger", view: "View", run: Run, *, is_whole: bool = False) -> "LedgerRun":
     """Return the record of a run; `is_whole`: with the runs that continue it.
 
     Raises: UsageError if there is no such run.

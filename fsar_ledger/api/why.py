@@ -87,8 +87,7 @@ class Why(Answer, msgspec.Struct, frozen=True, kw_only=True):
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the answer as an indented tree."""
-        event = screen.event_word(self.run, self.seq)
-        hint = f"`fsar-ledger prove {printable.word(screen.path)} {event}` proves event {self.seq} to others"
+        hint = screen.proof_hint(self.run, self.seq)
         yield printable.lines(screen.run_text(self.run), "", *Tree(self).lines(), "", hint)
 
 

@@ -3,7 +3,7 @@
 Text from a ledger is escaped first, and passed on as plain text, never as markup.
 """
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from textual.app import App, ComposeResult
 from textual.binding import Binding, BindingType
@@ -11,12 +11,9 @@ from textual.containers import Horizontal, VerticalScroll
 from textual.content import Content
 from textual.widgets import Footer, Input, Static
 
-from fsar_ledger.api.state import standing_lines
+from fsar_ledger.api.state import Steps, standing_lines
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError
-
-if TYPE_CHECKING:
-    from fsar_ledger.api.state import Steps
 
 AROUND = 200
 """Events that are listed before and after the current one."""
@@ -52,7 +49,7 @@ class Stepper(App[None]):
         Binding("q", "quit", "quit"),
     ]
 
-    def __init__(self, steps: "Steps", title: str) -> None:
+    def __init__(self, steps: Steps, title: str) -> None:
         super().__init__()
         self.steps = steps
         self.title = title
