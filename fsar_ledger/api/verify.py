@@ -92,13 +92,13 @@ class Verification(Answer, msgspec.Struct, frozen=True):
 
     def _lines(self) -> list[str]:
         report = _of_report(self.path, self.report)
-        sections = [self._replay_lines(self.replay), self._fleet_lines(self.fleet)]
+        sections = [self._replay_lines(), self._fleet_lines()]
         doubts = [line for part in (self.replay, self.fleet) if part is not None for line in map(str, part.differences)]
         return [*(doubts or report), *(line for lines in sections for line in lines)]
 
-    def _replay_lines(self, replay: "ReplayReport | None") -> list[str]:
+    def _replay_lines(self) -> list[str]:
         """Return the lines on the replay, apart from its differences."""
-        ledger, report = self.path, self.report
+        ledger, report, replay = self.path, self.report, self.replay
         if replay is None:
             return []
         if not report.ok:
@@ -132,9 +132,9 @@ class Verification(Answer, msgspec.Struct, frozen=True):
             f"{ledger}: consistent, but replay doubts {count}; do not rely on what they say happened and was decided"
         ]
 
-    def _fleet_lines(self, fleet: "FleetComparison | None") -> list[str]:
+    def _fleet_lines(self) -> list[str]:
         """Return the lines on the comparison with the fleet's ledger, apart from its differences."""
-        if fleet is None:
+        if (fleet := self.fleet) is None:
             return []
         if not self.report.ok:
             return [f"{self.path}: not compared with its fleet, as its rows are in doubt"]

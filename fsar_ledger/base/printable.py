@@ -110,9 +110,9 @@ def _without_formula(text: str) -> str:
     return "'" + text if _FORMULA.match(text) else text
 
 
-def line(text: str, most: int = MAX_LINE) -> SafeText:
-    """Return one line for people, cut after `most` characters; line feeds in it are escaped."""
-    cut = text if len(text) <= most else f"{text[:most]}... ({len(text) - most:,} more)"
+def line(text: str) -> SafeText:
+    """Return one line for people, cut after `MAX_LINE` characters; line feeds in it are escaped."""
+    cut = text if len(text) <= MAX_LINE else f"{text[:MAX_LINE]}... ({len(text) - MAX_LINE:,} more)"
     return SafeText(escaped(cut) + "\n")
 
 
