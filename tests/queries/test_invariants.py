@@ -333,6 +333,15 @@ def test_who_is_asked_and_is_of_no_fleet_is_not_said_to_act() -> None:
     ]
 
 
+@pytest.mark.parametrize("name", ["AssistanceRequested", "AssistanceEnded", "ReassignmentDecided"])
+def test_a_service_or_coordinator_that_helps_a_robot_breaks_a2(name: str) -> None:
+    for helper, found in (("robot/B1", []), ("service/recovery", ["helps"]), ("coordinator", ["helps"])):
+        rows = run(event(name, 1, action_id="t/1", robot="robot/A1", helper=helper, failure=1))
+        assert answer("invariants/a2_coordination_only_federation", rows, columns=("found",)) == [
+            (f"{helper} is named as the one that {does}",) for does in found
+        ]
+
+
 def test_an_executor_that_stands_twice_on_its_path_accepted_alone() -> None:
     own = {"decided_by": "robot/B1", "requested_by": "robot/A1", "executed_by": "robot/B1", "action_id": "t/1"}
     starts = event("ExecutionStarted", 2, **own, robot="robot/B1", on_behalf_of="robot/A1")
