@@ -12,7 +12,7 @@
 WITH records AS (
     SELECT
         told.run_id, told.action_id, told.seq, time_us, type, capability, candidates, target_role, decided_by,
-        requested_by, executed_by, supervised_by, robot, purpose, approves, result, cause, reason,
+        requested_by, executed_by, supervised_by, robot, purpose, approves, result, cause, reason, failure,
         events.type IN ('ExecutionStarted.v1', 'ExecutionFinished.v1') AS is_deed, -- a record may begin between them
         max(told.seq) FILTER (
             events.type IN ('CommandIssued.v1', 'RequestAccepted.v1', 'ExecutionQueued.v1', 'ExecutionStarted.v1')
@@ -51,11 +51,11 @@ SELECT
         is_deed OR type IN ('RequestDenied.v1', 'SupervisorResponded.v1')
     ) AS supervisors,
     nullif(
-        count(*) FILTER (type = 'ExecutionFailed.v1'), if(any_value(list_contains(runs.observes, 'recovery')), NULL, 0)
+        greatest(count(*) FILTER (type = 'ExecutionFailed.v1'), count(DISTINCT failure)),
+        if(any_value(list_contains(runs.observes, 'recovery')), NULL, 0)
     ) AS failures,
     coalesce(max(time_us) FILTER (is_end), max(time_us) FILTER (is_refusal)) AS ended_us,
-    any_value(begun_seq) AS begun_seq,
-    max(seq) FILTER (is_refusal) AS refused_seq,
+    any_value(begun_seq) AS begun_seq, max(seq) FILTER (is_refusal) AS refused_seq,
     max(seq) FILTER (is_end AND result IS NOT NULL) AS result_seq,
     arg_max(result || coalesce('(' || cause || ')', ''), seq) FILTER (is_end) AS result,
     arg_max(
@@ -64,12 +64,12 @@ SELECT
     max(seq) FILTER (type = 'ExecutionWithdrawn.v1') AS withdrawn_seq,
     CASE
         WHEN NOT any_value(list_has_all(runs.observes, ['execution', 'request'])) THEN NULL
-        WHEN bool_or(type = 'ExecutionStarted.v1') THEN 'not finished'
+        WHEN bool_or(type IN ('ExecutionStarted.v1', 'ExecutionResumed.v1', 'ExecutionPaused.v1') OR failure > 0)
+            THEN 'not finished' -- a record may begin while an action is under way
         ELSE if(bool_or(is_last AND type = 'ExecutionWithdrawn.v1'), 'withdrawn', 'not begun')
     END AS state,
     if(state = 'withdrawn', max(time_us) FILTER (type = 'ExecutionWithdrawn.v1'), NULL) AS withdrawn_us,
-    min(seq) FILTER (type = 'RegistryQueried.v1' AND len(candidates) > 0) AS offered_seq,
-    bool_or(
+    min(seq) FILTER (type = 'RegistryQueried.v1' AND len(candidates) > 0) AS offered_seq, bool_or(
         target_role IS NOT NULL
         OR type IN ('RequestIssued.v1', 'RegistryQueried.v1', 'OutsiderRequestInjected.v1')
         OR (type = 'CommandIssued.v1' AND robot IS DISTINCT FROM acting) -- a master commands a robot's own steps, too

@@ -179,3 +179,19 @@ def test_a_source_that_was_opened_again_is_open() -> None:
     closed = event("SourceClosed", 9 * S, source="bag", until_us=8 * S)
     history = run(opened, closed, {**opened, "time_us": 20 * S}, **FOREIGN)
     assert answer("audit/recordings", history, columns=("seq", "until_us")) == [(1, 8 * S), (3, None)]
+
+
+@pytest.mark.parametrize(
+    ("told", "failures"),
+    [
+        (act("ExecutionPaused", S, "t/1", robot=A), 0),
+        (act("ExecutionResumed", S, "t/1", robot=A), 0),
+        (act("ExecutionFailed", S, "t/1", robot=A, failure=2, cause="worn"), 1),
+        (attempt("t/1", 1), 1),
+    ],
+)
+def test_an_action_that_was_under_way_had_begun_and_a_failure_that_is_being_recovered_had_happened(
+    told: Row, failures: int
+) -> None:
+    rows = run(told, **FOREIGN)
+    assert answer("facts/action_records", rows, columns=("failures", "state")) == [(failures, "not finished")]
