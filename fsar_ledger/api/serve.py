@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import FsarLedgerError, UsageError, option
+from fsar_ledger.base.memory import temporary_files
 from fsar_ledger.base.printable import SafeText
 
 from .answers import Answer, Plain, Screen, interrupted_by_sigterm
@@ -103,8 +104,10 @@ class ServedFederation(Answer):
     def _viewed(self) -> str:
         from .ledger import open_ledger
 
-        with TemporaryDirectory() as folder:
-            page = Path(folder) / "run.html"
+        with temporary_files():
+            folder = TemporaryDirectory()
+        with folder as name:
+            page = Path(name) / "run.html"
             open_ledger(self._out).view(page, run=self._run)
             return page.read_text("utf-8")
 

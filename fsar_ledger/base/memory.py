@@ -18,6 +18,8 @@ from importlib.machinery import ModuleSpec
 from pathlib import Path
 from typing import Any, NoReturn
 
+from fsar_ledger.base.errors import WriteFailed
+
 CHECK_S = 0.02
 """Seconds between two checks: memory fills at some GiB per second."""
 
@@ -60,6 +62,21 @@ def folder_for_spilling() -> Iterator[str]:
             yield folder.name
     finally:
         unfinished.discard(Path(folder.name))
+
+
+@contextmanager
+def temporary_files() -> Iterator[None]:
+    """Turn an OSError inside, which writes temporary files alone, into WriteFailed."""
+    try:
+        yield
+    except OSError as error:
+        import tempfile
+
+        place = "" if tempfile.tempdir is None else f"{tempfile.tempdir}: "  # None: no folder can be written
+        raise WriteFailed(
+            f"{place}temporary files cannot be written: {error.strerror}. Nothing was changed; free space or set "
+            "TMPDIR."
+        ) from error
 
 
 def exceeded_message() -> str:

@@ -20,6 +20,7 @@ from fsar_ledger.api.answers import Answer, Lines, Screen, provenance_json, prov
 from fsar_ledger.api.verbs import Gives, Shows, Verb, declared
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.memory import temporary_files
 from fsar_ledger.base.printable import SafeText
 
 from .terminal import has_keys, pause, say, show, width_of_output
@@ -133,11 +134,12 @@ class Kept:
     """Text that is shown only once it is complete, so that a reader gets a whole answer or an error."""
 
     def __init__(self, pieces: Iterable[SafeText]):
-        """Make all pieces now. Raises: As `pieces`."""
+        """Make all pieces now. Raises: As `pieces`; WriteFailed if they do not fit into the temporary folder."""
         self._file = tempfile.SpooledTemporaryFile(KEPT_BYTES)  # noqa: SIM115
         try:
             for piece in pieces:
-                self._file.write(piece.encode("utf-8", "surrogatepass"))
+                with temporary_files():
+                    self._file.write(piece.encode("utf-8", "surrogatepass"))
         except BaseException:
             self._file.close()
             raise

@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 import pyarrow as pa
 
-from fsar_ledger.base.errors import WriteFailed
+from fsar_ledger.base.memory import temporary_files
 from fsar_ledger.base.progress import Showing, unseen
 from fsar_ledger.base.publishing import publish, require_another, require_place
 from fsar_ledger.ledger.store.paths import require_outside
@@ -248,19 +248,13 @@ def pdf(data: bytes, figures: dict[str, bytes]) -> bytes:
 
     Raises: WriteFailed if the folder for temporary files is full.
     """
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            root = Path(folder)
-            (root / "report.typ").write_text(specs.text("templates", "report.typ"), encoding="utf-8")
-            (root / "data.json").write_bytes(data)
-            for name, svg in figures.items():
-                (root / name).write_bytes(svg)
-            return _compiled(root)
-    except OSError as error:
-        raise WriteFailed(
-            f"{tempfile.gettempdir()}: temporary files cannot be written: {error.strerror}. Nothing was changed; free "
-            "space or set TMPDIR."
-        ) from error
+    with temporary_files(), tempfile.TemporaryDirectory() as folder:
+        root = Path(folder)
+        (root / "report.typ").write_text(specs.text("templates", "report.typ"), encoding="utf-8")
+        (root / "data.json").write_bytes(data)
+        for name, svg in figures.items():
+            (root / name).write_bytes(svg)
+        return _compiled(root)
 
 
 def _compiled(root: Path) -> bytes:

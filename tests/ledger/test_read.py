@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import tempfile
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -9,10 +10,11 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
-from fsar_ledger.base.errors import LedgerCorrupted
+from fsar_ledger.base.errors import LedgerCorrupted, WriteFailed
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.rows.segment import to_parquet
+from fsar_ledger.ledger.store import staging
 from fsar_ledger.ledger.store.staging import materialized
 from tests.ledger.forgery import segment_at, staged_at
 from tests.ledger.samples import ORIGIN, made_up_run
@@ -118,3 +120,13 @@ def test_what_lost_its_temporary_folder_is_written_into_a_new_one(tmp_path: Path
     shutil.rmtree(materialized(table).parent)
     for each in (table, other):
         assert materialized(each).read_bytes() == to_parquet(each)
+
+
+def test_where_no_temporary_folder_can_be_written_rows_of_a_journal_are_refused_in_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    monkeypatch.setattr(tempfile, "_candidate_tempdir_list", lambda: [str(tmp_path / "missing")])
+    monkeypatch.setattr(staging, "_folders", [])
+    with pytest.raises(WriteFailed, match="temporary files cannot be written: No usable temporary directory found"):
+        materialized(encode([made_up_run("nowhere", 20, seed=1)]))

@@ -20,6 +20,7 @@ import pyarrow as pa
 import pyarrow.json
 
 from fsar_ledger.base.errors import CommitTooLarge, InvalidRun, LedgerCorrupted, WriteFailed
+from fsar_ledger.base.memory import temporary_files
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.fleet import RunContinued, RunStarted
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, sha256_hex
@@ -289,9 +290,9 @@ def require_staged(ledger: Path, staged: Staged) -> None:
 
 
 def materialized(table: pa.Table) -> Path:
-    """Write these rows as a segment into this process's temporary folder, and return its path."""
+    """Write these rows as a segment into this process's temporary folder, and return its path. Raises: WriteFailed."""
     data = segment.to_parquet(table)
-    with _folder_lock:  # the file is renamed when complete, so that no reader sees half of it
+    with temporary_files(), _folder_lock:  # the file is renamed when complete, so that no reader sees half of it
         if not _folders or not os.path.isdir(_folders[-1]):  # systems remove temporary folders that are some days old
             _folders.append(tempfile.mkdtemp(prefix="fsar-ledger-"))
             atexit.register(shutil.rmtree, _folders[-1], ignore_errors=True)
