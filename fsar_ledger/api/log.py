@@ -67,7 +67,7 @@ def _requested_log(
 ) -> Timeline:
     if follow and run not in (None, ALL):
         raise UsageError(
-            f"--follow and --run {run}: a run is committed whole, so it gets no more events; expected one of them"
+            f"--follow and --run {run}: --follow shows the events of all runs as they come; expected one of them"
         )
     if follow and ledger.demands:
         raise UsageError(

@@ -107,7 +107,7 @@ def test_it_says_that_nothing_happened(call: Call, ledger: Path) -> None:
         (("--from", "soon"), ["--from: found soon, expected seconds of run time"]),
         (("--to", "10min"), ["--to: found 10min, expected seconds of run time"]),
         (("--from", "30", "--to", "10"), ["--from 30 and --to 10: expected an earlier time first"]),
-        (("--follow", "--run", RUN), [f"--follow and --run {RUN}", "committed whole"]),
+        (("--follow", "--run", RUN), [f"--follow and --run {RUN}", "shows the events of all runs as they come"]),
         (("--follow", "--verified"), ["--follow and --verified", "expected one of them"]),
     ],
 )
