@@ -11,7 +11,7 @@ from threading import Event, Thread
 from typing import TYPE_CHECKING, Annotated, Any
 
 from fsar_ledger.base import printable
-from fsar_ledger.base.errors import FsarLedgerError, UsageError, option
+from fsar_ledger.base.errors import FsarLedgerError, UsageError, WriteFailed, option
 from fsar_ledger.base.memory import temporary_files
 from fsar_ledger.base.printable import SafeText
 
@@ -61,8 +61,11 @@ class ServedFederation(Answer):
         require_service()
         from fsar_ledger.service import Principals
         from fsar_ledger.service.server import Service
+        from fsar_ledger.sources.recorder import kept_origin
 
         def opened(on_commit: Callable[[int, bytes], None]) -> "Federation":
+            if not addresses and kept_origin(self._out) is None:
+                raise WriteFailed(f"{self._out}: the ledger was removed while it was served; restore it")
             federation = federate(self._out, run=self._run, on_commit=on_commit, **self._given["federation"])
             if addresses:  # it is opened again after each failed write
                 self._given["show"](printable.lines(addresses.pop()))

@@ -1,6 +1,7 @@
 """What a writer refuses to append to, and what it names as missing."""
 
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -37,6 +38,16 @@ def test_a_staged_file_that_is_gone_or_changed_is_not_committed(path: Path) -> N
             with pytest.raises(WriteFailed):
                 writer.append(staged)
     assert open_ledger(path).head == EMPTY_HEAD
+
+
+def test_into_a_ledger_that_was_removed_nothing_is_committed(path: Path) -> None:
+    writer = Writer(path, ORIGIN)
+    writer.add([made_up_run("first", 20, seed=1)])
+    shutil.rmtree(path)
+    with pytest.raises(WriteFailed, match="the ledger was removed while it was open; restore it, and open it again"):
+        writer.add([made_up_run("second", 20, seed=2)])
+    with pytest.raises(WriteFailed, match="the ledger was removed while it was open; restore it, and open it again"):
+        writer.close()
 
 
 def test_staging_nothing_is_a_mistake(path: Path) -> None:

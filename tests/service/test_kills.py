@@ -1,6 +1,7 @@
 """The service as a process that is told to end, and killed."""
 
 import resource
+import shutil
 import signal
 import socket
 import subprocess
@@ -63,6 +64,24 @@ def test_no_address_is_told_of_a_federation_that_is_refused(tmp_path: Path) -> N
     said = one.process.communicate(timeout=30)[1]
     assert (one.process.returncode, one.url) == (2, "")
     assert said == "fsar-ledger: robots: found 7, expected a multiple of 4, the robots of a team\n"
+
+
+def test_in_a_ledger_that_was_removed_nothing_is_decided_until_it_is_restored(tmp_path: Path) -> None:
+    token = add_principal(tmp_path / "principals", "robot/A1")
+    one = Process(tmp_path, 0)
+    with Client(one.url, token, patience_s=0) as way:
+        way.give("SubmitTask", task_id="t", **TASK)
+        shutil.copytree(one.ledger, tmp_path / "backup")
+        shutil.rmtree(one.ledger)
+        for _ in range(2):
+            with pytest.raises(Refused, match="the ledger was removed while it was"):
+                way.give("ReportContext", robot="robot/A1")
+        assert not one.ledger.exists()
+        (tmp_path / "backup").rename(one.ledger)
+    with Client(one.url, token) as way:
+        way.give("ReportContext", robot="robot/A1")
+    one.end(signal.SIGTERM)
+    assert is_good(one.ledger)
 
 
 def _has(found: list[str], more_than: int) -> bool:

@@ -354,9 +354,10 @@ def lock_if_free(folder: Path) -> Iterator[bool]:
 
 
 class FolderLock:
-    """A reusable exclusive lock on this folder, which is opened once in each process.
+    """A reusable exclusive lock on this folder of a ledger, which is opened once in each process.
 
-    Use it as a context manager. Raises: LedgerCorrupted if the folder cannot be opened.
+    Use it as a context manager. Raises: LedgerCorrupted if the folder cannot be opened; WriteFailed, each time, once it
+    was removed: writing to files of the ledger that are open would succeed, and be lost.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -366,6 +367,10 @@ class FolderLock:
         if self._process != os.getpid():  # after a fork both processes hold what either holds through this handle
             self.close()
             self._handle, self._process = _opened(self._folder), os.getpid()
+        if os.fstat(self._handle).st_nlink == 0:
+            raise WriteFailed(
+                f"{self._folder.parent}: the ledger was removed while it was open; restore it, and open it again"
+            )
         try:  # `suppress` would take as long as the call
             fcntl.flock(self._handle, fcntl.LOCK_EX)
         except OSError:
