@@ -202,8 +202,8 @@ def test_every_invariant_yields_what_audit_reads() -> None:
 def test_every_invariant_has_at_least_three_seeded_defects() -> None:
     names = {query.relation.partition("_")[0] for query in invariants()}
     count = Counter(defect.invariant for defect in DEFECTS)
-    assert count.keys() == names, "each is the first word of a query's name, as in i4_outward_recovery"
-    assert min(count.values()) >= 3, f"{min(count, key=count.__getitem__)}: add a Defect of it to DEFECTS"
+    assert count.keys() <= names
+    assert {name: count[name] for name in names if count[name] < 3} == {}, "add as many to DEFECTS"
 
 
 def test_types_that_are_left_out_unread_name_nobody_and_are_counted_nowhere() -> None:
