@@ -83,7 +83,8 @@ def examples() -> Iterator[tuple[str, str]]:
 
 def test_every_label_of_the_paper_exists() -> None:
     texts = {f"{path}": path.read_text("utf-8") for path in sources() if path.name != "library.py"}
-    assert {name: wrong for name, text in texts.items() if (wrong := wrong_labels(text))} == {}
+    wrong = {name: found for name, text in texts.items() if (found := wrong_labels(text))}
+    assert wrong == {}, "tests/paper_labels.txt has the labels"
 
 
 def test_a_wrong_or_missing_label_is_found() -> None:

@@ -333,8 +333,10 @@ class Library:
     def __init__(self, queries: Iterable[Query]):
         self.queries: dict[str, Query] = {query.name: query for query in queries}
         self.relations: dict[str, Query] = {query.relation: query for query in self.queries.values()}
-        if len(self.relations) < len(self.queries):
-            raise ValueError("two queries have the same last part in their names; SQL could not tell them apart")
+        if hidden := sorted(self.queries.keys() - {query.name for query in self.relations.values()}):
+            raise ValueError(
+                f"queries {', '.join(hidden)}: found others of the same last name, by which SQL reads them; rename them"
+            )
 
     def find(self, name: str) -> Query:
         """Return the query of this full name or unique last part.

@@ -81,7 +81,12 @@ def text_of(name: str) -> str:
 LISTING = "relations"
 """The relation that `SHOW TABLES` reads."""
 _DESCRIBE = {"describe": "DESCRIBE", "desc": "DESCRIBE", "show": "DESCRIBE", "summarize": "SUMMARIZE"}
-OF_THE_TEXT = (duckdb.ParserException, duckdb.BinderException, duckdb.CatalogException)
+OF_THE_TEXT = (
+    duckdb.ParserException,
+    duckdb.BinderException,
+    duckdb.CatalogException,
+    duckdb.InvalidInputException,  # such as a parameter that the header does not name
+)
 """DuckDB's errors about SQL that runs on no data at all."""
 _LACKING = re.compile(r"Table with name (\w+) does not exist")
 

@@ -158,11 +158,18 @@ def test_a_packaged_query_that_cannot_run_is_named_with_its_line_also_below_anot
             database.query(name)
 
 
-def test_a_packaged_query_with_parameters_that_cannot_run_is_named() -> None:
-    wrong = Query("audit/wrong", "SELECT $run AS nothing FROM nowhere", HEADER, {"run": Parameter("run", "run", "all")})
+@pytest.mark.parametrize(
+    ("sql", "found"),
+    [
+        ("SELECT $run AS nothing FROM nowhere", "Catalog Error: .* nowhere does not exist"),
+        ("SELECT seq FROM events WHERE run_id = $rum", "Invalid Input Error: .*: rum"),
+    ],
+)
+def test_a_packaged_query_with_parameters_that_cannot_run_is_named(sql: str, found: str) -> None:
+    wrong = Query("audit/wrong", sql, HEADER, {"run": Parameter("run", "run", "all")})
     with Database(None, (), queries=Library([wrong])) as database:
         database.hold("events", from_rows_table())
-        with pytest.raises(QueryFailed, match=r"^queries/audit/wrong\.sql: Catalog Error: .* nowhere does not exist"):
+        with pytest.raises(QueryFailed, match=rf"^queries/audit/wrong\.sql: {found}"):
             database.query("wrong")
 
 

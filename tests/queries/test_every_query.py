@@ -91,8 +91,11 @@ def empty() -> Iterator[Database]:
 
 @pytest.mark.parametrize("name", PACKAGED)
 def test_query_runs_on_an_empty_ledger(empty: Database, name: str) -> None:
-    table = empty.query(name, required(library().find(name)))
+    query = library().find(name)
+    table = empty.query(name, required(query))
     constant = name in CONSTANT
+    missing = (query.key or {}).keys() - set(table.column_names)
+    assert not missing, f"queries/{name}.sql: Key names {', '.join(sorted(missing))}, which it has not"
     assert (table.num_rows > 0) == constant
     assert table.num_columns > 0
 
@@ -161,7 +164,7 @@ def test_a_query_that_reads_itself_is_refused() -> None:
 
 def test_two_queries_with_one_last_name_are_refused() -> None:
     header = dict.fromkeys(REQUIRED_KEYS, "x")
-    with pytest.raises(ValueError, match="same last part"):
+    with pytest.raises(ValueError, match=r"facts/a: found others of the same last name, .* rename them"):
         Library([Query("facts/a", "SELECT 1", header), Query("metrics/a", "SELECT 1", header)])
 
 
