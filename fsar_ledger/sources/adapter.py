@@ -114,6 +114,7 @@ class Adapter(Protocol):
         ...
 
 
+MEMBERS = (*Adapter.__annotations__, *(name for name in vars(Adapter) if not name.startswith("_")))
 UNREADABLE = "unreadable"
 
 
@@ -134,23 +135,22 @@ def _installed() -> dict[str, EntryPoint]:
 
 
 def adapter_named(name: str) -> Adapter:
-    """Return a new adapter of this name.
-
-    Raises: UsageError if there is none, or if what it needs is not installed.
-    """
+    """Return a new adapter of this name. Raises: UsageError if there is none, or it or what it needs is not there."""
     adapters = _installed()
     if name not in adapters:
         raise UsageError(
             f"{option('format', value(name))}: found no adapter of that name, expected one of "
             f"{', '.join(sorted(adapters))}{did_you_mean(name, adapters)}; or describe it by {option('mapping')}"
         )
+    point = adapters[name]
     try:
-        adapter: Adapter = adapters[name].load()()
-    except ModuleNotFoundError as error:
-        raise UsageError(
-            f"{option('format', name)}: found no module {error.name}, which it needs; install it with `pip install "
-            f"'fsar-ledger[{name}]'`"
-        ) from error
+        kind = point.load()
+    except (ModuleNotFoundError, AttributeError) as error:
+        what = f"it with `pip install 'fsar-ledger[{name}]'`" if point in OWN else f"the package that has {point.value}"
+        raise UsageError(f"{option('format', name)}: {error}, which it needs; install {what}") from error
+    adapter: Adapter = kind()
+    if missing := [one for one in MEMBERS if not hasattr(adapter, one)]:
+        raise UsageError(f"{option('format', name)}: {point.value} lacks {', '.join(missing)}; correct the adapter")
     return adapter
 
 

@@ -40,8 +40,37 @@ def test_an_adapter_that_nobody_publishes_is_an_error_with_the_nearest_name() ->
 def test_an_adapter_that_needs_what_is_not_installed_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     broken = EntryPoint("mcap", "no_such_library.mcap:Mcap", ENTRY_POINTS)
     monkeypatch.setattr(adapter, "OWN", (broken,))
-    with pytest.raises(UsageError, match=r"no module no_such_library.*pip install 'fsar-ledger\[mcap\]'"):
+    with pytest.raises(UsageError, match=r"No module named 'no_such_library'.*pip install 'fsar-ledger\[mcap\]'"):
         adapter_named("mcap")
+
+
+@pytest.mark.parametrize(
+    ("value", "found"),
+    [
+        (
+            "no_such_package:Acme",
+            r"No module named 'no_such_package', .* install the package that has no_such_package:Acme",
+        ),
+        (
+            "fsar_ledger.sources.rmf:Acme",
+            "has no attribute 'Acme', .* install the package that has fsar_ledger.sources",
+        ),
+        ("tests.sources.test_adapters:Silent", "lacks is_sampled, declares; correct the adapter"),
+    ],
+)
+def test_an_adapter_of_others_that_is_not_there_or_not_whole_says_so(
+    monkeypatch: pytest.MonkeyPatch, value: str, found: str
+) -> None:
+    theirs = EntryPoint("acme", value, ENTRY_POINTS)
+    monkeypatch.setattr(adapter, "entry_points", lambda group: [theirs] if group == ENTRY_POINTS else [])
+    with pytest.raises(UsageError, match=f"format=acme: .*{found}"):
+        adapter_named("acme")
+
+
+class Silent:
+    """An adapter that does not say what it declares, nor whether it is sampled."""
+
+    name, version, format, clock, read, derive = "silent", "1", "silent/1", "arrival", None, None
 
 
 class Joining:
