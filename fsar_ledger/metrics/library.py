@@ -176,7 +176,7 @@ def staging_query(tag: str) -> Query:
     return _generated(
         f"staging/{view_name(tag)}",
         staging_sql(tag),
-        (LAYOUTS[tag].cls.__doc__ or "").strip().splitlines()[0],
+        (LAYOUTS[tag].cls.__doc__ or tag).strip().splitlines()[0],
         grain=f"one row per {tag} event",
         units="microseconds in columns that end in _us",
         null="the record does not name it",

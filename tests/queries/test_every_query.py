@@ -14,7 +14,7 @@ from fsar_ledger.api.simulate import simulate
 from fsar_ledger.base.errors import InvalidQuery
 from fsar_ledger.ledger.rows.schema import COLUMNS, LAYOUTS
 from fsar_ledger.metrics.database import Database, connect, from_rows
-from fsar_ledger.metrics.library import KEYS, REQUIRED_KEYS, Library, Query, generated, library, parse
+from fsar_ledger.metrics.library import KEYS, REQUIRED_KEYS, Library, Query, generated, library, parse, staging_query
 from fsar_ledger.metrics.own_sql import is_event_view
 from tests.queries.keys import required
 
@@ -153,6 +153,12 @@ def test_every_event_type_has_a_view_with_its_fields_that_runs_on_an_empty_ledge
             table = database.query(query.name)
             found = table.column_names
             assert found == ["run_id", "seq", "time_us", "caused_by", *(field.name for field in layout.fields)]
+
+
+def test_an_event_type_without_a_docstring_is_told_by_its_tag(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As every one is under `python -OO`, which leaves docstrings out."""
+    monkeypatch.setattr(LAYOUTS["TaskCompleted.v1"].cls, "__doc__", None)
+    assert staging_query("TaskCompleted.v1").header["Title"] == "TaskCompleted.v1"
 
 
 def test_a_query_that_reads_itself_is_refused() -> None:
