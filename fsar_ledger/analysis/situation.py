@@ -14,10 +14,8 @@ from fsar_ledger.metrics.provenance import IN_PART
 from fsar_ledger.projections.execution import HELPING, doing_and_waiting
 from fsar_ledger.projections.fleet import Member
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.registry import surface
 from fsar_ledger.projections.request import Request
-from fsar_ledger.projections.task import Task
 from fsar_ledger.projections.trust import is_within
 from fsar_ledger.runtime.handlers.supervision import is_open
 
@@ -44,7 +42,7 @@ class Coverage:
             for concern in CONCERNS
             if concern in unnamed
         }
-        self.is_in_part = records is not None
+        self.is_in_part, self._records = records is not None, records or ()
         self.tells_ends = "execution" in observes or {"ExecutionFinished", "ExecutionWithdrawn"} <= {*(records or ())}
         self._names_supervisors = "fleet" in observes or "RobotJoined.supervisor" in (records or ())
 
@@ -56,10 +54,11 @@ class Coverage:
         """Return False where a robot that has joined without a supervisor of its own has none; None: not observed."""
         return False if has_joined and self._names_supervisors else None
 
-    def all(self, concern: str, values: Iterable[_T]) -> tuple[_T, ...] | None:
-        """Return the values, as `of`; of a run that records concerns in part, those on record."""
+    def all(self, concern: str, values: Iterable[_T], end: str | None = None) -> tuple[_T, ...] | None:
+        """Return the values, as `of`; of a run that records concerns in part, those on record whose `end` is, too."""
         items = tuple(values)
-        return items if items and self.is_in_part else self.of(concern, items)
+        is_told = self.is_in_part and (end is None or end in self._records)
+        return items if items and is_told else self.of(concern, items)
 
 
 class Window(msgspec.Struct, frozen=True):
@@ -231,15 +230,9 @@ def situation(past: "Past", busy_us: Mapping[str, int], robot: str | None) -> Si
                 for claim in claims
                 if robot is None or action in names
             ),
+            "AuthorityReleased",
         ),
-        recoveries=seen.all(
-            "recovery",
-            (
-                _recovery(action, recovery, seen)
-                for action, recovery in state.recovery.items()
-                if robot in (None, recovery.robot)
-            ),
-        ),
+        recoveries=seen.all("recovery", _recoveries(state, robot, seen), "FailureResolved"),
         calls=seen.all(
             "supervision",
             (
@@ -247,11 +240,12 @@ def situation(past: "Past", busy_us: Mapping[str, int], robot: str | None) -> Si
                 for number, call in state.supervision.calls.items()
                 if is_open(state, call) and (robot is None or call.subject.action_id in names)
             ),
+            "SupervisorResponded",
         ),
-        tasks=seen.all("task", (_task(task) for task in state.task.values() if robot in (None, task.robot))),
+        tasks=seen.all("task", _tasks(state, robot), "TaskCompleted"),
         trust=seen.all("trust", _trust(state, robot)),
         rules=seen.all("policy", _rules(state, robot)),
-        off_shift=seen.all("supervision", sorted(state.world.off_shift)),
+        off_shift=seen.all("supervision", sorted(state.world.off_shift), "SupervisorReturned"),
         not_observed=tuple(seen.lacking.values()),
     )
 
@@ -274,22 +268,27 @@ def _open_requests(past: "Past") -> Iterator[Request]:
         )
 
 
-def _recovery(action: str, recovery: Recovery, seen: Coverage) -> RecoveryNow:
-    is_seen = recovery.number > 0 or recovery.level != "local" or "recovery" not in seen.lacking
-    level, attempts = (recovery.level, recovery.number) if is_seen else (None, None)
-    return RecoveryNow(action, recovery.robot, recovery.cause, level, attempts, recovery.detected_us / 1e6 or None)
+def _recoveries(state: State, robot: str | None, seen: Coverage) -> Iterator[RecoveryNow]:
+    for action, recovery in state.recovery.items():
+        if robot in (None, recovery.robot):
+            is_seen = recovery.number > 0 or recovery.level != "local" or "recovery" not in seen.lacking
+            level, attempts = (recovery.level, recovery.number) if is_seen else (None, None)
+            since_s = recovery.detected_us / 1e6 or None
+            yield RecoveryNow(action, recovery.robot, recovery.cause, level, attempts, since_s)
 
 
-def _task(task: Task) -> TaskNow:
-    return TaskNow(
-        task.task_id,
-        task.robot or None,
-        task.step,
-        len(task.steps) if task.has_arrived and task.steps else None,
-        task.steps[task.step] if 0 <= task.step < len(task.steps) else None,
-        task.attempt,
-        task.due_us / 1e6 or None,
-    )
+def _tasks(state: State, robot: str | None) -> Iterator[TaskNow]:
+    for task in state.task.values():
+        if robot in (None, task.robot):
+            yield TaskNow(
+                task.task_id,
+                task.robot or None,
+                task.step,
+                len(task.steps) if task.has_arrived and task.steps else None,
+                task.steps[task.step] if 0 <= task.step < len(task.steps) else None,
+                task.attempt,
+                task.due_us / 1e6 or None,
+            )
 
 
 def _trust(state: State, robot: str | None) -> Iterator[TrustNow]:
@@ -344,7 +343,7 @@ def _robot(past: "Past", name: Robot, seen: Coverage, busy_us: int) -> RobotNow:
         member.team or None,
         member.supervisor,
         True if member.supervisor else seen.supervises(name in state.fleet.robots),
-        state.fleet.departed.get(name),
+        (seen.all("fleet", (state.fleet.departed.get(name),), "RobotReturned") or (None,))[0],
         seen.of("world", name not in world.off),
         seen.of("world", name not in world.unlinked),
         seen.of("world", world.degraded.get(name)),
@@ -352,7 +351,7 @@ def _robot(past: "Past", name: Robot, seen: Coverage, busy_us: int) -> RobotNow:
         False if work else seen.of("execution", seen.of("recovery", True if is_known else None)),
         work,
         seen.of("execution", tuple(action.removeprefix(HELPING) for action in waiting)),
-        seen.all("policy", _windows(past, name)),
+        seen.all("policy", _windows(past, name), "PolicyWindowClosed"),
         seen.of("registry", offers),
     )
 

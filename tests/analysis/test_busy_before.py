@@ -191,3 +191,36 @@ def test_a_request_that_nobody_closes_is_over_with_its_task_or_its_result(
     assert [len(ledger.state("day", at=at).standing.requests or ()) for at in (4, 5)] == [1, int(is_open)]
     spans = [one for one in spans_of(ledger.record("day")) if one.fact.kind == "accepted"]
     assert [(one.start_us, one.end_us) for one in spans] == [(2_000_000, None if is_open else 5_000_000)]
+
+
+_ROBOT, _ACTION = {"robot": "robot/a"}, {"task_id": "t", "action_id": "t/1"}
+_CLAIM, _CALL = {"dimension": "audit", "claimant": "robot/a", "reason": "x"}, {"purpose": "review"}
+
+
+@pytest.mark.parametrize(
+    ("begins", "ends", "part", "columns"),
+    [
+        ("SupervisorLeft", "SupervisorReturned", "off_shift", {"supervisor": "supervisor/a"}),
+        ("SupervisorCalled", "SupervisorResponded", "calls", {**_ACTION, **_CALL, "supervisor": "supervisor/a"}),
+        ("AuthorityClaimed", "AuthorityReleased", "claims", {**_ACTION, **_CLAIM}),
+        ("ExecutionFailed", "FailureResolved", "recoveries", {**_ACTION, **_ROBOT, "failure": 1, "cause": "worn"}),
+        ("TaskArrived", "TaskCompleted", "tasks", {**_ROBOT, "task_id": "t"}),
+        (
+            "PolicyWindowOpened",
+            "PolicyWindowClosed",
+            "windows",
+            {**_ROBOT, "scope": "local", "window": "w", "outcome": "deny"},
+        ),
+        ("RobotDeparted", "RobotReturned", "departed", {**_ROBOT, "reason": "silent", "fence": 1}),
+    ],
+)
+def test_what_began_is_not_said_to_go_on_where_its_source_does_not_record_its_end(
+    tmp_path: Path, begins: str, ends: str, part: str, columns: dict[str, Any]
+) -> None:
+    for observes, is_told in (([begins], False), ([begins, ends], True)):
+        place = tmp_path / f"{part} {is_told}"
+        with record(place, run="day", fleet=[A], observes=["RobotJoined", *observes], epoch=BEGAN) as recorder:
+            recorder.event(begins, at=BEGAN + timedelta(seconds=1), **columns)
+        now = open_ledger(place).state("day").standing
+        robot = next(iter(now.robots or ()))
+        assert bool(getattr(robot if part in ("windows", "departed") else now, part)) == is_told
