@@ -32,8 +32,9 @@ WITH judges (judges, entries) AS (
     ),
     (
         'i5_audit_attributability audit_attributability', 'RobotJoined RobotJoined.supervisor SupervisorLeft
-        SupervisorReturned GapDetected.action_id GapDetected>RequestIssued RegistryQueried>RequestIssued
-        RequestIssued>RequestAccepted RequestIssued>RequestUnanswered RequestIssued>RequestClosed'
+        SupervisorReturned GapDetected.action_id GapDetected>RequestIssued RegistryQueried.action_id
+        RegistryQueried>RequestIssued RequestAdmitted.action_id RequestIssued.action_id RequestIssued>RequestAccepted
+        RequestIssued>RequestUnanswered RequestIssued>RequestClosed'
     ),
     (
         'a1_local_runtime_self_sufficiency', 'ExecutionStarted* OwnStepDecided OwnStepDecided.decided_by
@@ -62,12 +63,12 @@ listed AS (
     SELECT judges, unnest(regexp_split_to_array(entries, '\s+')) AS entry FROM judges
     UNION ALL
     SELECT judge AS judges, record AS entry FROM metric_records
-    UNION ALL -- the principals of a record are judged wherever its type is recorded
+    UNION ALL -- the principals of a record are judged wherever its type is recorded; the end of its request names them
     SELECT
         'i5_audit_attributability audit_attributability' AS judges,
         split_part(type, '.', 1) || '.' || unnest(['requested_by', 'executed_by', 'supervised_by']) AS entry
     FROM event_classes
-    WHERE record_kind IS NOT NULL
+    WHERE record_kind IS NOT NULL OR type = 'RequestClosed.v1'
 )
 
 SELECT DISTINCT

@@ -58,7 +58,7 @@ def spec(architecture: Architecture, scenario: str, seed: int = 7, run: int = 3)
 
 
 RESOLVED_BY_A_PEER = spec("fsar", "collaborative-delivery", seed=42, run=15)
-EVERY = [*(spec(name, scenario) for name in ("fsar", "cfc") for scenario in SCENARIOS), RESOLVED_BY_A_PEER]
+EVERY = [*(spec(name, scenario) for name in ("fsar", "cfc", "dhma") for scenario in SCENARIOS), RESOLVED_BY_A_PEER]
 FEW = [
     spec("fsar", "door-relay"),
     spec("fsar", "collaborative-delivery"),
@@ -66,6 +66,7 @@ FEW = [
     spec("fsar", "fleet-contention"),
     spec("cfc", "collaborative-delivery"),
     spec("cfc", "failure-recovery-chain"),
+    spec("dhma", "door-relay"),
     RESOLVED_BY_A_PEER,
 ]
 """Runs of every scenario, in which everything occurs that occurs in all of them."""

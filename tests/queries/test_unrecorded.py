@@ -133,6 +133,27 @@ def test_whom_a_search_came_to_may_stand_on_a_record_of_the_request_that_is_miss
     assert accused(OF_I5, *history[:3]) == ["no executor can be recovered"]
 
 
+@pytest.mark.parametrize(
+    "lacks",
+    [
+        *("RequestClosed.executed_by", "RequestClosed.requested_by", "RequestIssued.action_id"),
+        *("RegistryQueried.action_id", "RequestAdmitted.action_id"),
+    ],
+)
+def test_whom_a_search_came_to_may_stand_in_a_field_that_is_missing(lacks: str) -> None:
+    """Where bids are invited, only the end of the request names its executor; what is of no action has none."""
+    named = {"capability": "lift", "executed_by": None}
+    gap = of_action("GapDetected", S, **named)
+    query = of_action("RegistryQueried", S, decided_by=ASKER, candidates=[DOER], **named)
+    asked = of_action("RequestIssued", 2 * S, decided_by=ASKER, **named)
+    admitted = of_action("RequestAdmitted", 2 * S, decided_by=ASKER, outcome="allow", executed_by=None)
+    closed = of_action("RequestClosed", 3 * S, decided_by=ASKER, result="success")
+    history = (joined(ASKER), joined(DOER), gap, query, asked, admitted, closed)
+    assert accused(OF_I5, *history) == accused(OF_I5, *history, lacks=lacks) == []
+    nobody = [*history[:6], {**closed, "executed_by": None}]
+    assert set(accused(OF_I5, *nobody)) == {"no executor can be recovered"}
+
+
 def test_a_right_may_have_been_granted_again_for_a_request_that_names_no_executor() -> None:
     revoked = event("AuthorityRevoked", S, requested_by=ASKER, reason="human override")
     granted = event("AuthorityGranted", 2 * S, requested_by=ASKER, executed_by=DOER, override="none")
