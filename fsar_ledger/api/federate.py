@@ -87,7 +87,7 @@ def federate(
     from fsar_ledger.ledger.opening import open_ledger
     from fsar_ledger.runtime.federation import ORIGIN, Federation
     from fsar_ledger.runtime.isolation import isolation_of
-    from fsar_ledger.sources.recorder import kept_origin, origin_of
+    from fsar_ledger.sources.stored import kept_origin, origin_of
 
     if (isolated is None) is not (of is None):
         raise UsageError(f"{option('isolated')} and {option('of')}: found one of them, expected both, or none")

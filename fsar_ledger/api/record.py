@@ -353,7 +353,7 @@ def shards(
     from fsar_ledger.ledger.store.append import Writer
     from fsar_ledger.ledger.store.shards import newest, record_of_head
     from fsar_ledger.metrics.verified import models_of
-    from fsar_ledger.sources.recorder import kept_origin, origin_of
+    from fsar_ledger.sources.stored import kept_origin, origin_of
 
     path, signer = Path(log), signer_of(key)
     heads = [] if kept_origin(path) is None else _heads(open_checked(path))

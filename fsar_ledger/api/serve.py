@@ -61,7 +61,7 @@ class ServedFederation(Answer):
         require_service()
         from fsar_ledger.service import Principals
         from fsar_ledger.service.server import Service
-        from fsar_ledger.sources.recorder import kept_origin
+        from fsar_ledger.sources.stored import kept_origin
 
         def opened(on_commit: Callable[[int, bytes], None]) -> "Federation":
             if not addresses and kept_origin(self._out) is None:

@@ -27,8 +27,8 @@ from fsar_ledger.ledger.store.append import Writer
 
 from .adapter import LOOKED_AT, UNREADABLE, Adapter, Derived, Input, Record, awaited, digest_of, no_record
 from .columns import Declared, declared, require_full_names, storable, storable_text, text_of
-from .recorder import FORMAT, origin_of, roles_of
-from .stored import BYTES, EarlierImport, NewEvent, commit, earlier_import, record_hashes
+from .recorder import FORMAT, roles_of
+from .stored import BYTES, EarlierImport, NewEvent, commit, earlier_import, origin_of, record_hashes
 
 ORIGIN = "fsar-ledger/imported"
 COMMIT_EVENTS, COMMIT_BYTES = 4_096, 1 << 21

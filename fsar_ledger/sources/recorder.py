@@ -5,7 +5,7 @@ record goes on.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from threading import RLock
@@ -20,12 +20,10 @@ from fsar_ledger.events.source import Observed, SourceClosed, SourceOpened
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.runs import LedgerRun, first_unfit, refusal
 from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
-from fsar_ledger.ledger.store.paths import MANIFEST
 
 from .columns import Declared, declared, event_of, require_kinds, require_names, require_outcome, storable_text
 from .names import PrivateNames
-from .stored import NewEvent, StoredRun, commit, stored_run
+from .stored import NewEvent, StoredRun, commit, origin_of, stored_run
 
 ORIGIN = "fsar-ledger/recorded"
 FORMAT = "fsar-ledger/1"
@@ -79,9 +77,10 @@ class Recorder:
         begins = utc.zoned(datetime.now(UTC) if epoch is None else _moment("epoch", epoch)).astimezone(UTC)
         self.run = run or begins.isoformat(timespec="seconds")
         self._path = path
-        self._writer, self._is_open = Writer(path, origin_of(path, origin, signer), signer), True
+        self._writer, self._is_open = Writer(path, origin_of(path, origin, signer, ORIGIN), signer), True
         self._batch: list[NewEvent] | None = None
         self._count = 0
+        self._is_called = False
         self._is_live = epoch is None  # events without a time happen now, so the run ends now; else at its last event
         try:
             stored = stored_run(path, self.run)
@@ -119,7 +118,7 @@ class Recorder:
             event = event_of(event, columns)
         elif columns:
             raise UsageError(f"event: found {type(event).__name__} and columns of it, expected one or the other")
-        with self._lock:
+        with self._call():
             event = event if self._names is None else self._names.event(event)
             self._require_recordable(event)
             number = self._put(self._time_us(at), caused_by, event)
@@ -174,7 +173,8 @@ class Recorder:
             saved, self._batch = (self._next, self._last_us, self._count), []
             try:
                 yield
-                self._commit(self._batch)
+                with self._call():
+                    self._commit(self._batch)
             except BaseException:
                 self._next, self._last_us, self._count = saved
                 raise
@@ -188,7 +188,7 @@ class Recorder:
 
     def close(self) -> None:
         """Record until when the source was observed, and close the ledger. A recorder of the same run continues it."""
-        with self._lock:
+        with self._call():
             if not self._is_open:
                 return
             self._is_open = False
@@ -203,11 +203,23 @@ class Recorder:
         return self
 
     def __exit__(self, _kind: object, error: object, _trace: object) -> None:
-        if error is None:
+        with nullcontext() if error is None else suppress(FsarLedgerError):  # the first error is raised
             self.close()
-            return
-        with suppress(FsarLedgerError):  # the first error is raised
-            self.close()
+
+    @contextmanager
+    def _call(self) -> Iterator[None]:
+        """Let one call after the other write. Raises: UsageError for a call within a call of the same thread."""
+        with self._lock:
+            if self._is_called:
+                raise UsageError(
+                    "record: found a call within a call, as by the handler of a signal, expected one at a time; "
+                    "nothing was written: let the handler set a flag, and record outside of it"
+                )
+            self._is_called = True
+            try:
+                yield
+            finally:
+                self._is_called = False
 
     def _begin(self, fleet: Fleet, opened: SourceOpened | None) -> None:
         joined: list[Event] = [*_members(fleet)]
@@ -355,16 +367,6 @@ def _moment(name: str, moment: object) -> datetime:
         f"{name}: found {moment!r:.80}, expected a datetime, such as datetime(2026, 3, 1, 10, tzinfo=UTC); "
         "`datetime.fromisoformat` reads it from a text"
     )
-
-
-def kept_origin(path: Path) -> str | None:
-    """Return the origin of the ledger at this path, None if there is none. Raises: NotALedger."""
-    return parse_manifest(path / MANIFEST, read_manifest(path)).origin if (path / MANIFEST).exists() else None
-
-
-def origin_of(path: Path, origin: str | None, signer: Signer | None, default: str = ORIGIN) -> str:
-    """Return this origin, or else that of the ledger at this path, or of a new one. Raises: NotALedger."""
-    return origin or kept_origin(path) or (signer.verifier.name if signer is not None else default)
 
 
 def _members(fleet: Fleet) -> Iterator[RobotJoined]:

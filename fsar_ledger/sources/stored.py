@@ -11,10 +11,13 @@ from fsar_ledger.base.errors import InvalidRun, UsageError
 from fsar_ledger.base.printable import counted, value
 from fsar_ledger.events import Event
 from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.locations import event_count, place_of
+from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
+from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.store.read import View
 
 from .adapter import UNREADABLE
@@ -64,6 +67,16 @@ def stored_run(path: Path, run: str) -> StoredRun | None:
             opened = msgspec.json.decode(line, type=Opening) if event.type == "SourceOpened.v1" else None
             break
     return StoredRun(started, event_count(parts), parts[-1].block.last_us, robots, supervisors, opened)
+
+
+def kept_origin(path: Path) -> str | None:
+    """Return the origin of the ledger at this path, None if there is none. Raises: NotALedger."""
+    return parse_manifest(path / MANIFEST, read_manifest(path)).origin if (path / MANIFEST).exists() else None
+
+
+def origin_of(path: Path, origin: str | None, signer: Signer | None, default: str) -> str:
+    """Return this origin, or else that of the ledger at this path, or of a new one. Raises: NotALedger."""
+    return origin or kept_origin(path) or (signer.verifier.name if signer is not None else default)
 
 
 class _Row(msgspec.Struct):

@@ -1,6 +1,7 @@
 """Lines from standard input: each is on disk before the next is read, and a wrong one is refused by its number."""
 
 import json
+import os
 import signal
 import subprocess
 import time
@@ -269,3 +270,23 @@ def test_a_name_that_no_ledger_can_have_is_refused_before_there_is_one(tmp_path:
     with pytest.raises(UsageError, match=r"^origin='a b': expected a printable name"):
         fsar_ledger.record(out, origin="a b")
     assert not out.exists()
+
+
+def test_a_call_within_a_call_is_refused_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where the handler of a signal records while the program does: both would have the same number."""
+    synced, within = os.fdatasync, list[str]()
+
+    def interrupted(handle: int) -> None:
+        for call in (lambda: recorder.event("TaskArrived", task_id="b"), recorder.close):
+            with pytest.raises(UsageError, match="found a call within a call, as by the handler of a signal") as raised:
+                call()
+            within.append(f"{raised.value}")
+        synced(handle)
+
+    with fsar_ledger.record(tmp_path / "ledger", run="night", observes=["TaskArrived"]) as recorder:
+        with monkeypatch.context() as patched:
+            patched.setattr(os, "fdatasync", interrupted)
+            assert recorder.event("TaskArrived", task_id="a") == 2
+        assert recorder.event("TaskArrived", task_id="c") == 3
+    assert len(within) >= 2
+    assert tasks(tmp_path / "ledger") == ["a", "c"]
