@@ -182,7 +182,7 @@ def test_the_state_invents_neither_for_whom_a_robot_works_nor_that_nobody_superv
 
 
 def test_the_state_invents_no_recovery_and_nothing_of_a_fleet_of_roles_alone(tmp_path: Path) -> None:
-    observes = ["ExecutionStarted", "ExecutionFailed"]
+    observes = ["ExecutionStarted", "ExecutionFailed", "FailureResolved"]
     with fsar_ledger.record(tmp_path / "ledger", run="r", fleet={"a": "agv"}, observes=observes) as one:
         one.event("ExecutionFailed", task_id="t", action_id="t/1", robot="robot/a", failure=1, cause="jam")
     found = "\n".join(fsar_ledger.open_ledger(tmp_path / "ledger").state(run=1).text(Screen()))
