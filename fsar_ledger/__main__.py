@@ -3,6 +3,7 @@
 import atexit
 import gc
 import os
+import signal
 import sys
 from types import TracebackType
 
@@ -38,6 +39,9 @@ def main() -> None:
     except KeyboardInterrupt:
         say("interrupted; nothing was changed")
         sys.exit(130)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, _end)
     code = run(sys.argv[1:])
     atexit._run_exitfuncs()  # libraries clean up after themselves: matplotlib removes its folder
     os._exit(code)  # everything is written and closed; unloading libraries makes a short command a tenth slower
@@ -51,6 +55,15 @@ def _hold_streams() -> None:
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest free number
     sys.stdin = sys.stdin or os.fdopen(0, closefd=False)  # Python has none where it was closed; it is empty
+
+
+def _end(number: int, _: object) -> None:
+    """End by this signal, as without a handler, but leave no temporary files."""
+    from .base.memory import remove_unfinished
+
+    remove_unfinished()
+    signal.signal(number, signal.SIG_DFL)
+    os.kill(os.getpid(), number)
 
 
 def _report_error(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

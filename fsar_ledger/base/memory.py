@@ -33,7 +33,7 @@ _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 _PEAK_UNIT = 1024 if os.uname().sysname == "Linux" else 1  # of ru_maxrss
 
 unfinished: set[Path] = set()
-"""Files and folders to remove when the process is ended for exceeding its limit."""
+"""Files and folders to remove when the process is ended from outside, or for exceeding its limit."""
 
 _limit: int | None = None
 
@@ -77,6 +77,16 @@ def temporary_files() -> Iterator[None]:
             f"{place}temporary files cannot be written: {error.strerror}. Nothing was changed; free space or set "
             "TMPDIR."
         ) from error
+
+
+def remove_unfinished() -> None:
+    """Remove the files and folders of unfinished work, before the process ends in the middle of it."""
+    from shutil import rmtree
+
+    for path in tuple(unfinished):
+        with suppress(OSError):
+            path.unlink()
+        rmtree(path, ignore_errors=True)
 
 
 def exceeded_message() -> str:

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
-from shutil import rmtree
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args
 
 import typer
@@ -372,10 +371,7 @@ def bounded(
         for child in memory.children():
             with suppress(OSError):
                 os.kill(int(child), signal.SIGKILL)
-        for path in tuple(memory.unfinished):
-            with suppress(OSError):
-                path.unlink()
-            rmtree(path, ignore_errors=True)
+        memory.remove_unfinished()
         os._exit(LimitReached.exit_code)
 
     with memory.limited(most, end):

@@ -1,12 +1,14 @@
 """An answer that does not fit where it is sent is one message and exit code 1, whoever writes it."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+import fsar_ledger
 from tests.quick import few
 from tests.running import ran
 
@@ -106,3 +108,21 @@ def test_an_unbuffered_answer_that_fits_in_part_is_said_to_be_incomplete(ledger:
     assert (tmp_path / "part").stat().st_size > 0
     assert done.returncode == 1
     assert "the output is incomplete (File too large); write it where there is free space" in done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_a_reader_that_is_told_to_end_leaves_no_temporary_files(tmp_path: Path, how: signal.Signals) -> None:
+    (tmp_path / "scratch").mkdir()
+    with fsar_ledger.record(tmp_path / "ledger") as record:
+        record.observed("door/open")
+    command = [sys.executable, "-m", "fsar_ledger", "log", str(tmp_path / "ledger"), "--follow", "--json"]
+    environment = {**os.environ, "TMPDIR": str(tmp_path / "scratch")}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline()
+        assert [*(tmp_path / "scratch").iterdir()]
+        process.send_signal(how)
+        process.communicate(timeout=30)
+    assert process.returncode == (130 if how == signal.SIGINT else -how)
+    assert not [*(tmp_path / "scratch").iterdir()]

@@ -20,7 +20,7 @@ import pyarrow as pa
 import pyarrow.json
 
 from fsar_ledger.base.errors import CommitTooLarge, InvalidRun, LedgerCorrupted, WriteFailed
-from fsar_ledger.base.memory import temporary_files
+from fsar_ledger.base.memory import temporary_files, unfinished
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.fleet import RunContinued, RunStarted
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, sha256_hex
@@ -296,6 +296,7 @@ def materialized(table: pa.Table) -> Path:
         if not _folders or not os.path.isdir(_folders[-1]):  # systems remove temporary folders that are some days old
             _folders.append(tempfile.mkdtemp(prefix="fsar-ledger-"))
             atexit.register(shutil.rmtree, _folders[-1], ignore_errors=True)
+            unfinished.add(Path(_folders[-1]))
         path = Path(_folders[-1]) / f"{sha256_hex(data)}.parquet"
         if not path.exists():
             part = path.with_suffix(".part")
