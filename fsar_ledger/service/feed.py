@@ -233,7 +233,7 @@ class Decider:
     def _give_up(self) -> None:
         """Close the federation, whose state has events that are not on disk."""
         if self._federation is not None:
-            with suppress(FsarLedgerError):
+            with suppress(Exception):  # for want of memory, too: it is opened again
                 self._federation.close()
             self._federation = None
 

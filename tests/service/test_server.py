@@ -16,6 +16,8 @@ pytest.importorskip("uvicorn", reason="make test-all installs it")
 import fsar_ledger
 from fsar_ledger.events.command import CommandGiven, CommandRejected
 from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.runtime.federation import Federation
 from fsar_ledger.service import feed
 from fsar_ledger.service.client import Client, FollowedEvent, Refused
 from tests.service.site import TASK, Site, is_good, read, take_back, until
@@ -257,6 +259,22 @@ def test_on_a_full_disk_commands_are_refused_reads_go_on_and_with_room_again_all
     assert [event.parameters.count('"v"') for event in site.commands()][-1] == 1
     seen = read(site.ways["auditor/anna"].events(after=-1), len(site.record.events))
     assert [event.seq for event in seen] == list(range(len(seen)))
+    assert is_good(site.ledger)
+
+
+def test_without_memory_to_decide_or_to_close_nothing_is_decided_and_with_it_again_all_goes_on(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(feed, "REOPEN_S", 0.2)
+    with monkeypatch.context() as patch:
+        patch.setattr(Federation, "decide_all", refused)
+        patch.setattr(Writer, "close", refused)
+        answer = site.asked("POST", "/commands/ReportContext", b'{"robot": "robot/A1"}')
+        assert answer.startswith(b"HTTP/1.1 503 ")
+    assert site.ways["robot/A1"].give("ReportContext", robot="robot/A1").rejected is None
     assert is_good(site.ledger)
 
 
