@@ -9,7 +9,7 @@ import secrets
 import ssl
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import quote, urlencode, urlsplit
 
 import msgspec
@@ -20,6 +20,8 @@ TRANSIENT = (429, 503)
 """Transient errors: too many commands at once, or a full disk."""
 PAUSE_S = 0.2
 """The first wait before a retry, in seconds; each further one is twice as long, up to 5."""
+
+_Kind = TypeVar("_Kind")
 
 
 class Refused(FsarLedgerError):
@@ -40,6 +42,10 @@ class Answered(msgspec.Struct, frozen=True):
     rejected: str | None
     events: tuple[dict[str, Any], ...]
     followed: tuple[dict[str, Any], ...] = ()
+
+
+class _Health(msgspec.Struct):
+    events: int
 
 
 class FollowedEvent(msgspec.Struct, frozen=True):
@@ -103,11 +109,11 @@ class Client:
             raise UsageError(f"command {command!r:.80}: {error!s:.200}; expected fields that are JSON") from error
         headers = {"Idempotency-Key": key or secrets.token_hex(16), "Content-Type": "application/json"}
         answer = self._patiently("POST", f"/commands/{quote(command)}", body, headers)
-        return msgspec.json.decode(answer, type=Answered)
+        return self._decoded(answer, Answered)
 
     def known(self) -> int:
         """Return how many events the run has. Raises: Refused: The service is unavailable, or its disk refuses."""
-        return int(msgspec.json.decode(self._patiently("GET", "/health", None, {}))["events"])
+        return self._decoded(self._patiently("GET", "/health", None, {}), _Health).events
 
     def events(
         self, after: int | None = None, *, robot: str | None = None, task: str | None = None, concern: str | None = None
@@ -178,6 +184,17 @@ class Client:
                 break
             self._pause(pause_s)
         raise Refused(status, _reason(answer))
+
+    def _decoded(self, answer: bytes, kind: type[_Kind]) -> _Kind:
+        """Return the answer of a service. Raises: Refused for that of another program, such as a proxy."""
+        try:
+            return msgspec.json.decode(answer, type=kind)
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            raise Refused(
+                200,
+                f"{self._url.geturl()}: found {answer[:80]!r}, expected the answer of `fsar-ledger serve`; check the "
+                "address, and any proxy before it",
+            ) from error
 
     def _send_request(self, method: str, path: str, body: bytes | None, headers: dict[str, str]) -> tuple[int, bytes]:
         if self._line is None:

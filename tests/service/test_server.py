@@ -5,6 +5,8 @@ import os
 import socket
 import subprocess
 import threading
+from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -276,6 +278,26 @@ def test_without_memory_to_decide_or_to_close_nothing_is_decided_and_with_it_aga
         assert answer.startswith(b"HTTP/1.1 503 ")
     assert site.ways["robot/A1"].give("ReportContext", robot="robot/A1").rejected is None
     assert is_good(site.ledger)
+
+
+def test_a_client_says_that_another_program_answers() -> None:
+    class Other(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.end_headers()
+            self.wfile.write(b"<html>welcome</html>")
+
+        do_POST = do_GET
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Other) as other:
+        threading.Thread(target=other.serve_forever, daemon=True).start()
+        for ask in (Client.known, partial(Client.give, command="ReportContext", robot="robot/A1")):
+            with (
+                Client(f"http://127.0.0.1:{other.server_port}", "token", patience_s=0) as client,
+                pytest.raises(Refused, match=r"found b'<html>welcome</html>', expected the answer of `fsar-ledger"),
+            ):
+                ask(client)
+        other.shutdown()
 
 
 def test_when_too_many_wait_more_are_told_to_come_again(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
