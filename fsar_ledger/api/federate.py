@@ -18,7 +18,7 @@ from fsar_ledger.base.printable import SafeText
 from .answers import Answer, Plain, Screen
 from .key import origin_of as named_origin
 from .key import signer_of
-from .names import Names, Place, Run, names_of
+from .names import Names, Place, Run, names_of, run_to_write
 from .verbs import KeyOption, OriginOption, argument, declare, verb
 
 if TYPE_CHECKING:
@@ -96,8 +96,7 @@ def federate(
             f"{option('isolated')}: found a fleet or settings, expected only those of the ledger; leave them out"
         )
     isolated = isolated if isolated is None or "/" in isolated else f"robot/{isolated}"
-    if not run:
-        raise UsageError("run: found an empty name, expected a name")
+    run_to_write(run)
     path, signer = Path(out), signer_of(key)
     name = origin_of(path, named_origin(origin), signer, ORIGIN)
     is_continued = kept_origin(path) is not None and open_ledger(path).has_run(run)

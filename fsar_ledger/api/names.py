@@ -36,6 +36,15 @@ _KINDS = {
 _TIME = re.compile(r"([0-9]{1,16}(?:\.[0-9]{0,16})?|\.[0-9]{1,16})\s*(s|ms)?")
 
 
+def run_to_write(name: str) -> str:
+    """Return the name of a run that is to be written. Raises: UsageError if it is empty, or stands for every run."""
+    if not name:
+        raise UsageError("run: found an empty name, expected a name")
+    if name == "all":
+        raise UsageError("run: found all, by which queries mean every run; expected another name")
+    return name
+
+
 def by_scenario(asked: str | None) -> bool:
     """Return whether to divide the rows by scenario. Raises: UsageError for another division."""
     if asked not in (None, "scenario"):

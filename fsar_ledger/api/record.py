@@ -16,7 +16,7 @@ from fsar_ledger.base.progress import Progress
 from .answers import Answer, Screen, head_json
 from .key import origin_of as named_origin
 from .key import signer_of
-from .names import Names, Place, separated
+from .names import Names, Place, run_to_write, separated
 from .verbs import AdoptOption, Gives, KeyOption, OriginOption, Shows, argument, declare, switch, verb
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def record(
         Path(out),
         fleet=fleet,
         observes=separated(observes),
-        run=run,
+        run=run and run_to_write(run),
         source=source,
         epoch=epoch,
         origin=named_origin(origin),
@@ -261,11 +261,12 @@ def import_records(
 
     adapter, mapping_sha256 = adapter_of(format, None if mapping is None else Path(mapping))
     with opened(logs) as inputs:
+        name = run_to_write(run or inputs[0].name)
         imported = import_files(
             Path(out),
             inputs,
             looked(adapter, inputs),
-            run=run or inputs[0].name,
+            run=name,
             fleet=None if fleet is None else named_robots(Path(fleet)),
             mapping_sha256=mapping_sha256,
             keeps_bodies=bodies,

@@ -252,9 +252,18 @@ def test_a_run_that_goes_on_keeps_what_it_was_begun_with(tmp_path: Path, given: 
     fsar_ledger.federate(tmp_path / "ledger", run="morning").close()
 
 
-def test_a_run_has_a_name(tmp_path: Path) -> None:
+def test_a_run_has_a_name_that_is_no_word_for_every_run(tmp_path: Path) -> None:
+    out, log = tmp_path / "ledger", tmp_path / "all.jsonl"
+    log.write_text("{}\n", "utf-8")
     with pytest.raises(UsageError, match="found an empty name"):
-        fsar_ledger.federate(tmp_path / "ledger", run="")
+        fsar_ledger.federate(out, run="")
+    with pytest.raises(UsageError, match="found all, by which queries mean every run"):
+        fsar_ledger.federate(out, run="all")
+    with pytest.raises(UsageError, match="found all, by which queries mean every run"):
+        fsar_ledger.record(out, run="all", fleet={"a": "agv"}, observes=["ExecutionStarted"])
+    with pytest.raises(UsageError, match="found all, by which queries mean every run"):
+        fsar_ledger.import_records(out, [log], format="vda5050")
+    assert not out.exists()
 
 
 def test_a_number_that_no_event_could_hold_is_refused_and_holds_up_nobody(tmp_path: Path) -> None:
