@@ -54,10 +54,10 @@ class Coverage:
         """Return False where a robot that has joined without a supervisor of its own has none; None: not observed."""
         return False if has_joined and self._names_supervisors else None
 
-    def all(self, concern: str, values: Iterable[_T], end: str | None = None) -> tuple[_T, ...] | None:
-        """Return the values, as `of`; of a run that records concerns in part, those on record whose `end` is, too."""
+    def all(self, concern: str, values: Iterable[_T], *ends: str) -> tuple[_T, ...] | None:
+        """Return the values, as `of`; of a run that records concerns in part, those on record whose ends are, too."""
         items = tuple(values)
-        is_told = self.is_in_part and (end is None or end in self._records)
+        is_told = self.is_in_part and (not ends or not {*ends}.isdisjoint(self._records))
         return items if items and is_told else self.of(concern, items)
 
 
@@ -232,7 +232,7 @@ def situation(past: "Past", busy_us: Mapping[str, int], robot: str | None) -> Si
             ),
             "AuthorityReleased",
         ),
-        recoveries=seen.all("recovery", _recoveries(state, robot, seen), "FailureResolved"),
+        recoveries=seen.all("recovery", _recoveries(state, robot, seen), "FailureResolved", "ExecutionWithdrawn"),
         calls=seen.all(
             "supervision",
             (
