@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from fsar_ledger.studies.sensitivity import sensitivity as sensitivity
     from fsar_ledger.studies.systems import systems as systems
 
-__version__ = "0.19.0"
+__version__ = "0.20.0"
 
 _HOMES = {
     "api.audit": ("Audit",),
