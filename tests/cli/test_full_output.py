@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -118,7 +119,10 @@ def test_a_reader_that_is_told_to_end_leaves_no_temporary_files(tmp_path: Path, 
         record.observed("door/open")
     command = [sys.executable, "-m", "fsar_ledger", "log", str(tmp_path / "ledger"), "--follow", "--json"]
     environment = {**os.environ, "TMPDIR": str(tmp_path / "scratch")}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment) as process:
+    heeds = partial(signal.signal, how, signal.SIG_DFL)  # also where the tests run under `nohup`
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment, preexec_fn=heeds
+    ) as process:
         assert process.stdout is not None
         assert process.stdout.readline()
         assert [*(tmp_path / "scratch").iterdir()]

@@ -44,6 +44,8 @@ def scheduler(count: int = 2) -> Iterator[tuple[str, Any]]:
     """Run a scheduler and workers whose processes restart when they die; yield its address."""
     with distributed.LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=":0") as made:
         yield made.scheduler_address, made
+        with distributed.Client(made) as client:  # closed while a worker begins again, distributed would fail
+            client.wait_for_workers(count, timeout=60)
 
 
 def test_a_cluster_makes_the_same_ledger_and_gives_the_same_answers(tmp_path: Path) -> None:
