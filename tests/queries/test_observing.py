@@ -216,6 +216,14 @@ def test_of_three_members_nothing_is_known_but_that_they_joined() -> None:
         assert all(" not observable" in row["evidence"] and "0/" not in row["evidence"] for row in marks)
 
 
+def test_a_robot_that_is_named_shows_nothing_where_its_agents_may_be_named_in_what_is_not_recorded() -> None:
+    asked = act("RequestIssued", 2 * S, "t1/1.1", requested_by=JOINED[0]["robot"])
+    with from_rows(run(*JOINED, asked, **MEMBERSHIP | {"observes": ["fleet", "request"]})) as made:
+        marks = {row["feature"]: row for row in made.query("tables/architecture_features").to_pylist()}
+    assert marks["single_agent_robot"]["grade"] is None
+    assert marks["single_agent_robot"]["evidence"] == "robots that appear as one principal not observable"
+
+
 def test_a_member_that_joins_twice_is_an_offence_although_little_else_is_observed() -> None:
     with from_rows(run(*JOINED, JOINED[0], **MEMBERSHIP)) as made:
         found = {row.invariant: row for row in audit_rows(made, invariants())}
