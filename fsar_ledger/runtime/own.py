@@ -122,7 +122,7 @@ def with_exchanges(constants: Constants, settings: Sequence[str]) -> Constants:
             f"scenario {scenario.name}: found a task that can arrive {printable.number(last_s)} s after the beginning "
             f"of the run, expected all within its {END_US // 1_000_000:,} s; give it a smaller offset_s"
         )
-    if any(setting.startswith(f"{_EXCHANGES}=") for setting in (*settings, *scenario.settings)):
+    if _EXCHANGES in _set_by((*settings, *scenario.settings)):
         return constants
     watch_us = max(constants.structure.watch_us, ceil(last_s * 1e6))
     return msgspec.structs.replace(constants, structure=msgspec.structs.replace(constants.structure, watch_us=watch_us))
@@ -130,8 +130,13 @@ def with_exchanges(constants: Constants, settings: Sequence[str]) -> Constants:
 
 def _others(of_scenario: Sequence[str], settings: Sequence[str]) -> list[str]:
     """Return the settings of a scenario for constants that `settings` does not set."""
-    set_already = {setting.partition("=")[0] for setting in settings}
+    set_already = _set_by(settings)
     return [setting for setting in of_scenario if setting.partition("=")[0] not in set_already]
+
+
+def _set_by(settings: Sequence[str]) -> set[str]:
+    """Return the names of the constants that these settings set."""
+    return {setting.partition("=")[0] for setting in settings}
 
 
 def is_file(name: str) -> bool:
