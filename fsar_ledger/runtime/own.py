@@ -116,7 +116,7 @@ def with_exchanges(constants: Constants, settings: Sequence[str]) -> Constants:
         return constants
     work_s = [command.at_s for command in scenario.commands if command.command == "SubmitTask"]
     after_s = world.start.high_s + world.jitter.high_s + load.interval_s * (load.task_sets - 1)
-    last_s = max(*work_s, *(task.offset_s + after_s for task in scenario.tasks), 0.0)
+    last_s = max((*work_s, *(task.offset_s + after_s for task in scenario.tasks)), default=0.0)
     if last_s > END_US / 1e6:
         raise InvalidExperiment(
             f"scenario {scenario.name}: found a task that can arrive {printable.number(last_s)} s after the beginning "
